@@ -66,10 +66,8 @@ def own_pixel_inside(
     """Which lie on a pixel of the region in their own view; outside the nearest one counts."""
     placement = place(gaussians, cameras)
     height, width = cameras.image_size
-    row, column = (
-        placement.row.clamp(0, height - 1),
-        placement.column.clamp(0, width - 1),
-    )
+    row = placement.row.clamp(0, height - 1)
+    column = placement.column.clamp(0, width - 1)
     return region[placement.view, row, column] & (placement.depth > 0)
 
 

@@ -129,10 +129,8 @@ def partition(cells: Cells, price: float) -> Int[Tensor, "gaussian"]:
         choice = table[cell]
         merged.append(walking[choice == MERGE])
         keys.append(cell[choice == MERGE])
-        by_y, by_x = (
-            by_y - (choice == ALONG_Y).long(),
-            by_x - (choice == ALONG_X).long(),
-        )
+        by_y = by_y - (choice == ALONG_Y).long()
+        by_x = by_x - (choice == ALONG_X).long()
         further = (choice == ALONG_X) | (choice == ALONG_Y)
         walking, by_y, by_x = walking[further], by_y[further], by_x[further]
         if not walking.numel():
@@ -193,10 +191,8 @@ def _best_choices(
     for level in sorted(((by_y, by_x) for by_y in sides for by_x in sides), key=sum):
         count = cells.count[level]
         least = torch.where(count > 1, cells.error[level] + price, torch.inf)
-        number, choice = (
-            torch.ones_like(count),
-            torch.full_like(count, MERGE, dtype=torch.int8),
-        )
+        number = torch.ones_like(count)
+        choice = torch.full_like(count, MERGE, dtype=torch.int8)
         for other, its_cost, its_number in _alternatives(
             cells, price, level, cost, left
         ):
@@ -334,11 +330,9 @@ def _merging_cost(
     weight = sums[WEIGHT]
     mean_x, mean_y, xx, yy, xy, *moments = sums[2:] / weight.clamp(min=1e-12)
     # A pixel is not a point: its own extent keeps the fit of few pixels from being exact.
-    var_x, var_y, cov = (
-        xx - mean_x**2 + 1 / 12,
-        yy - mean_y**2 + 1 / 12,
-        xy - mean_x * mean_y,
-    )
+    var_x = xx - mean_x**2 + 1 / 12
+    var_y = yy - mean_y**2 + 1 / 12
+    cov = xy - mean_x * mean_y
     steepness = 1 / (var_x * var_y - cov * cov).clamp(min=1e-12)
     values, squares = moments[:VALUES], moments[VALUES : VALUES + 2]
 

@@ -98,11 +98,9 @@ class Re10kDataset(PhotoDataset):
 
     def _frames(self, scene: dict, views: Sequence[int]) -> list[PosedPhoto]:
         """Some frames of a checked scene."""
-        cameras, files, size = (
-            scene["cameras"],
-            scene["images"],
-            self.settings.image_size,
-        )
+        cameras = scene["cameras"]
+        files = scene["images"]
+        size = self.settings.image_size
         return [_square(files[v], cameras[v], size, scene["key"]) for v in views]
 
 

@@ -52,15 +52,13 @@ def squares(inputs):
 
 def words(images, texts):
     """A CLIP for which every picture shows the edit as described."""
-    return torch.tensor(
-        [{"after": 0.3, "before": 0.1, "lighter": 0.2}.get(text, 0.0) for text in texts]
-    ).expand(4, -1)
+    known = {"after": 0.3, "before": 0.1, "lighter": 0.2}
+    return torch.tensor([known.get(text, 0.0) for text in texts]).expand(4, -1)
 
 
 def measured(item, images, edited=None, **more):
-    networks = SimpleNamespace(
-        features=[], clip=None, distances={"perceptual": squares}
-    )
+    distances = {"perceptual": squares}
+    networks = SimpleNamespace(features=[], clip=None, distances=distances)
     edited = item.truth[:2] if edited is None else edited
     output = MethodOutput(images, edited, item.depths, item.cameras, True, **more)
     return measure(item, output, networks)
@@ -153,12 +151,12 @@ def test_clip_is_asked_for_the_text_of_after_not_of_before(item):
 
 def test_an_edit_that_ran_without_reaching_the_scene_is_said_in_words(item):
     found = measured(item, item.photos.images[0])  # the scene still shows the photos
-    assert remark(found).startswith(
+    said = (
         "edit ran, scene unchanged: the scene shows 0% of the 2D edit (mean change 0."
     )
+    assert remark(found).startswith(said)
     assert remark(measured(item, item.truth)) == ""
-    assert "left the reference unchanged" in remark(
-        measured(item, item.truth, item.photos.images[0, :2])
-    )
+    unedited = measured(item, item.truth, item.photos.images[0, :2])
+    assert "left the reference unchanged" in remark(unedited)
     assert ItemResult("a", "s", "Modify", found).remark == remark(found)
     assert ItemResult("a", "s", "Modify", found, failure="no matches").remark == ""

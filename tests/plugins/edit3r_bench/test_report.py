@@ -140,10 +140,8 @@ def column(label, scenes, psnr, outside, missing=0):
     rng = np.random.default_rng(scenes)
     results = {}
     for index in range(scenes):
-        metrics = {
-            "psnr": psnr + rng.normal(),
-            "change-outside": outside + 0.1 * rng.normal(),
-        }
+        metrics = {"psnr": psnr + rng.normal()}
+        metrics["change-outside"] = outside + 0.1 * rng.normal()
         if index < missing:
             del metrics["change-outside"]
         name = f"s{index}-edit"

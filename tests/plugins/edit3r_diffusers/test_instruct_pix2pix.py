@@ -70,7 +70,8 @@ def test_steps_are_reported_as_progress_and_weights_noted(build, two_views):
     report = Report(on_event=lambda *event: events.append(event))
     with collecting(report):
         build().edit(two_views, ASK)
-    assert ("progress", "editing left.png", 1, 2) in events and (
+    assert ("progress", "editing left.png", 1, 2) in events
+    assert (
         "progress",
         "editing right.png",
         2,

@@ -32,11 +32,9 @@ def test_each_preset_edits_by_its_prompt(build, two_views, name):
         editor.edit(two_views, replace(ASK, prompt=prompt)).images
         for prompt in ("red", "snow")
     )
-    assert (
-        edited.shape == two_views.images.shape
-        and torch.isfinite(edited).all()
-        and not torch.equal(other, edited)
-    )
+    assert edited.shape == two_views.images.shape
+    assert torch.isfinite(edited).all()
+    assert not torch.equal(other, edited)
 
 
 def test_equal_views_get_equal_edits(build, two_views):
@@ -53,10 +51,8 @@ def test_a_mask_goes_to_the_class_for_masks_made_of_the_same_parts(
     images = editor.edit(two_views, masked).images
     other = editor.edit(two_views, replace(masked, seed=4)).images
     assert type(editor._masked).__name__ == "Flux2KleinInpaintPipeline"
-    assert (
-        editor._masked.transformer is editor._plain.transformer
-        and editor._masked.config.is_distilled
-    )
+    assert editor._masked.transformer is editor._plain.transformer
+    assert editor._masked.config.is_distilled
     outside = (images - other).abs()[..., -8:].mean()
     assert outside < 0.3 * (images - other).abs()[..., :8].mean()
 

@@ -196,9 +196,8 @@ def test_a_checkpoint_of_something_else_says_what_was_expected(tmp_path):
 def test_heads_that_shapes_do_not_show_must_be_said_and_fit_the_file(
     tmp_path, checkpoint
 ):
-    with pytest.raises(
-        SettingsError, match="48 channels cannot be split into heads of"
-    ):
+    said = "48 channels cannot be split into heads of"
+    with pytest.raises(SettingsError, match=said):
         edit3r.build("reconstructor", "noposplat", weights=str(checkpoint))
     with pytest.raises(SettingsError, match="64 channels in 3 heads"):
         build(checkpoint, backbone={"heads": 3})

@@ -123,11 +123,9 @@ def test_another_reconstruction_with_other_gaussians_keeps_the_outside_too(
     result = insert_edit(before, fewer, region, cameras, rasterizer)
     assert largest_change(rasterizer, before, result, cameras, ~region) <= SAME
     stayed, came = (rows_of(result) & rows_of(scene) for scene in (before, fewer))
-    assert (
-        len(came) > 50
-        and before.count - len(stayed) > 50
-        and len(stayed) + len(came) == result.count
-    )
+    assert len(came) > 50
+    assert before.count - len(stayed) > 50
+    assert len(stayed) + len(came) == result.count
 
 
 def test_an_answer_in_another_unit_of_length_is_brought_to_the_scene_s(

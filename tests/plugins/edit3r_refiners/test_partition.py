@@ -100,9 +100,9 @@ def test_count_left_is_what_partition_leaves_and_falls_with_the_price(cells):
             == int((group < 0).sum()) + group[group >= 0].unique().numel()
         )
         counts.append(count_left(cells, price))
-    assert (
-        counts == sorted(counts, reverse=True) and counts[0] == 64 and counts[-1] == 4
-    )
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] == 64
+    assert counts[-1] == 4
 
 
 @pytest.mark.parametrize("most", [4, 17, 40, 63])

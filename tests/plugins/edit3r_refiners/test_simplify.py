@@ -127,9 +127,8 @@ def test_gaussians_of_no_view_and_any_shape_are_kept_finite(rasterizer):
     gaussians, cameras = gaussian_cloud(300, degree=2), cameras_around(3)
     result = simplify(gaussians, cameras, rasterizer)
     assert all(torch.isfinite(getattr(result.gaussians, name)).all() for name in FIELDS)
-    assert (
-        0 < result.gaussians.count <= 300 and (result.gaussians.view_index == -1).all()
-    )
+    assert 0 < result.gaussians.count <= 300
+    assert (result.gaussians.view_index == -1).all()
 
 
 def test_no_gaussian_and_none_that_a_camera_sees_leave_none(rasterizer):

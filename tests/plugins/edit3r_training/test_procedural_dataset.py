@@ -68,7 +68,8 @@ def test_removing_reveals_what_was_behind():
 
 def test_views_beyond_two_are_made_too():
     sample = _dataset(context=4, targets=3, image_size=16)[0]
-    assert sample.context.shape == (4, 3, 16, 16) and sample.target.shape == (
+    assert sample.context.shape == (4, 3, 16, 16)
+    assert sample.target.shape == (
         3,
         3,
         16,
@@ -80,9 +81,8 @@ def test_views_beyond_two_are_made_too():
 def test_kept_samples_are_the_same_as_fresh_ones():
     kept = _dataset(keep=True)
     first, again = kept[1], kept[1]
-    assert torch.equal(first.context, again.context) and torch.equal(
-        first.context, _dataset()[1].context
-    )
+    assert torch.equal(first.context, again.context)
+    assert torch.equal(first.context, _dataset()[1].context)
 
 
 def test_two_seeds_share_no_scene():

@@ -54,9 +54,8 @@ def test_same_random_numbers_give_the_same_match():
     first, second = (
         simulate_match(DATA[0], np.random.default_rng(5)).geometry for _ in range(2)
     )
-    assert torch.equal(first.depths, second.depths) and torch.equal(
-        first.c2w, second.c2w
-    )
+    assert torch.equal(first.depths, second.depths)
+    assert torch.equal(first.c2w, second.c2w)
 
 
 def test_a_wall_facing_two_cameras_side_by_side_is_seen_by_both_where_pictures_overlap():
