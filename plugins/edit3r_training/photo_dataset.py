@@ -181,17 +181,29 @@ class DrawnPhotos:
             masks = None if masks is None else masks.flip(-1)
             edited = None if edited is None else edited.flip(-1)
         cameras = Cameras(poses[None], intrinsics[None], size_of(images))
-        return SceneSample(
-            context=images[:context],
-            target=images[context:],
-            context_cameras=cameras.select(range(context)),
-            target_cameras=cameras.select(range(context, cameras.count)),
-            context_masks=None if masks is None else masks[:, :context],
-            target_masks=None if masks is None else masks[:, context:],
-            edited_context=None if edited is None else edited[:context],
-            edited_target=None if edited is None else edited[context:],
-            name=name,
-        )
+        return divided(context, images, cameras, masks, edited, name=name)
+
+
+def divided(
+    context: int,
+    images: Images,
+    cameras: Cameras,
+    masks: Float[Tensor, "object view height width"] | None,
+    edited: Images | None,
+    **more: Any,
+) -> SceneSample:
+    """The sample of views of which the first `context` are context and the rest targets."""
+    return SceneSample(
+        context=images[:context],
+        target=images[context:],
+        context_cameras=cameras.select(range(context)),
+        target_cameras=cameras.select(range(context, cameras.count)),
+        context_masks=None if masks is None else masks[:, :context],
+        target_masks=None if masks is None else masks[:, context:],
+        edited_context=None if edited is None else edited[:context],
+        edited_target=None if edited is None else edited[context:],
+        **more,
+    )
 
 
 def growing_gap(

@@ -163,11 +163,10 @@ TINY = {"steps": 3, "edit_steps": 4, "points": 60}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["refit", "instruct-nerf2nerf", "editsplat"])
+@pytest.mark.parametrize("method", ["instruct-nerf2nerf", "editsplat"])
 def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
     report = Report()
-    own = {"refit": {"edit": "renders"}, "instruct-nerf2nerf": {"every": 2}}
-    settings = TINY | own.get(method, {})
+    settings = TINY | ({"every": 2} if method == "instruct-nerf2nerf" else {})
     with collecting(report):
         recon = edit3r.build("reconstructor", method, {"editor": editor}, **settings)
         geometry = edit3r.build("matcher", "posed").match(posed)

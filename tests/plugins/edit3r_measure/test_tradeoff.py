@@ -85,7 +85,7 @@ def sources(folder):
     photos = (folder.load(0, 8), folder.load(2, 8))
     files = ("0", "2", "1")
     scene = EvaluationScene("wall", "photos", files, photos, (folder.load(1, 8),))
-    return [SceneSource("wall", "photos", lambda: scene)]
+    return [SceneSource("wall", lambda: scene)]
 
 
 @pytest.fixture

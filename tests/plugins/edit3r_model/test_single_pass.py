@@ -98,7 +98,7 @@ def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(
     shared = {"dtype": dtype, "requires_grad": True}
     raw = torch.full((1, 2, 3, 2, 2), points, **shared)
     parameters = torch.full((1, 2, 83, 2, 2), attributes, **shared)
-    gaussians = adapt(raw, parameters, 0.001, 0.3, 4)
+    gaussians = adapt(raw, parameters, 0.001, 4)
     require_valid(gaussians)
     # A loss that is itself bounded, as float16 gradients must be.
     distance = gaussians.means.norm(dim=-1).log1p()
@@ -108,7 +108,7 @@ def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(
 
 def test_zero_quaternions_mean_no_rotation_and_have_finite_gradients():
     parameters = torch.zeros(1, 1, 83, 1, 1, requires_grad=True)
-    gaussians = adapt(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 0.3, 4)
+    gaussians = adapt(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 4)
     assert torch.equal(quats_to_matrices(gaussians.quats)[0, 0], torch.eye(3))
     covariances(gaussians.scales, gaussians.quats).sum().backward()
     assert parameters.grad.isfinite().all()

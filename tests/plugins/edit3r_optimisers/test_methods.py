@@ -85,7 +85,6 @@ def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
     "name, settings, calls",
     [
         ("refit", {}, 0),
-        ("refit", {"edit": "renders"}, 1),
         ("instruct-nerf2nerf", {"every": 2, "edit_steps": 7}, 4),
         ("instruct-nerf2nerf", {"every": 7, "edit_steps": 7}, 1),
         ("gaussctrl", {}, 1),

@@ -88,12 +88,15 @@ def test_one_gaussian_that_shines_to_one_side_keeps_its_bands(rasterizer):
     )
 
 
-def test_simplify_drops_the_bands_and_the_file_gets_smaller(rasterizer, tmp_path):
+def test_simplify_drops_the_bands_and_the_file_gets_smaller(
+    rasterizer, tmp_path, monkeypatch
+):
     gaussians, cameras, _ = textured()
     coloured = with_bands(gaussians, 3, 1e-4)
     sizes, degrees = [], []
     for tolerance in (0.0, STEP):
-        settings = SimplifySettings(harmonics=tolerance, polish=0)
+        monkeypatch.setattr("edit3r_refiners.simplify.TOLERANCE", tolerance)
+        settings = SimplifySettings(polish=0)
         result = simplify(coloured, cameras, rasterizer, settings=settings).gaussians
         save_ply(tmp_path / "scene.ply", result)
         assert load_ply(tmp_path / "scene.ply").degree == result.degree

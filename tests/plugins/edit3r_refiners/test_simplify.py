@@ -138,13 +138,14 @@ def test_no_gaussian_and_none_that_a_camera_sees_leave_none(rasterizer):
         assert simplify(scene, cameras, rasterizer).gaussians.count == 0
 
 
-def test_depth_edges_stay_apart_seen_from_the_side(rasterizer):
+def test_depth_edges_stay_apart_seen_from_the_side(rasterizer, monkeypatch):
     """A near square over a far wall of the same colour: no merged Gaussian lies between them."""
     _, cameras = flat_wall(views=2)
     depths = torch.full((2, 64, 64), 4.0)
     depths[:, 20:44, 20:44] = 2.0
     gaussians = gaussian_per_pixel(torch.full((2, 3, 64, 64), 0.6), depths, cameras)
-    settings = SimplifySettings(polish=0, behind=0)
+    monkeypatch.setattr("edit3r_refiners.merging.BEHIND", 0)
+    settings = SimplifySettings(polish=0)
     result = simplify(gaussians, cameras, rasterizer, settings=settings)
     z = result.gaussians.means[0, :, 2]
     assert ((z - 2).abs() < 0.01).logical_or((z - 4).abs() < 0.01).all()
