@@ -1,7 +1,7 @@
 """Does the verdict know a broken reconstructor, and a sound one?
 
     python benchmarks/broken.py FOLDER... --keep FOLDER --rows ROWS.jsonl
-    edit3r fit-verdict ROWS.jsonl
+    python benchmarks/fit_verdict.py ROWS.jsonl
 
 Each folder holds photos, or an images/ with them, and is a place. Two pairs of each, and three
 photos where there are twelve, are reconstructed from their photos alone at 256 pixels: by the

@@ -170,7 +170,7 @@ def deserved(alike: Likeness) -> str:
 
 
 def row_for_fitting(row: dict) -> dict:
-    """A row for `edit3r fit-verdict`."""
+    """A row for `fit_verdict.py`."""
     figures = {"half_way": row["half_way"]}
     return {"place": row["scene"], "label": row["deserved"], "figures": figures}
 
@@ -203,7 +203,7 @@ def scenes() -> None:
     views between them.
 
         python benchmarks/verdict.py scenes FOLDER... --size 256 --write SETS --rows ROWS.jsonl
-        edit3r fit-verdict ROWS.jsonl [--write]
+        python benchmarks/fit_verdict.py ROWS.jsonl [--write]
         python benchmarks/verdict.py scenes FOLDER --photos 0,7,14,21,28,35 --unseen 31,32,33,34
 
     Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at
@@ -226,7 +226,7 @@ def scenes() -> None:
         "--unseen", default="", help="photos to render besides, such as 31,33"
     )
     parser.add_argument(
-        "--rows", type=Path, help="write rows for `edit3r fit-verdict` into this file"
+        "--rows", type=Path, help="write rows for `fit_verdict.py` into this file"
     )
     parser.add_argument(
         "--write",
@@ -547,7 +547,7 @@ def edits() -> None:
     purpose.
 
         python benchmarks/verdict.py edits DATA --keep FOLDER --json ROWS.jsonl [--only fox mug]
-        edit3r fit-verdict ROWS.jsonl [--write]
+        python benchmarks/fit_verdict.py ROWS.jsonl [--write]
 
     DATA is a folder of photo sets, as for `clicks.py`, with the photos of `judged.json` in it
     (`outlines.py DATA`); objects are those of `clicks.json`, `outlines.json` and
@@ -565,7 +565,7 @@ def edits() -> None:
     )
     parser.add_argument("data", type=Path, help="folder of photo sets")
     parser.add_argument("--keep", type=Path, required=True, help="folder for the edits")
-    parser.add_argument("--json", type=Path, help="rows for `edit3r fit-verdict`")
+    parser.add_argument("--json", type=Path, help="rows for `fit_verdict.py`")
     parser.add_argument("--only", nargs="*", default=[], help="names of the objects")
     parser.add_argument("--sheet", type=Path, help="image of the edits")
     args = parser.parse_args()

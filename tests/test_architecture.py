@@ -66,7 +66,6 @@ ORDINARY_WORDS = {
     ),
     *(
         "export",
-        "convert",
         "mask",
         "points",
         "batch",

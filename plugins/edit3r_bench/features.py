@@ -135,12 +135,6 @@ def direction_similarity(
     return F.cosine_similarity(moved, (end - start)[None], dim=-1)
 
 
-def prompt_quality(clip: ClipSimilarity, images: Images, good: str, bad: str) -> float:
-    """Mean probability that images look `good`, not `bad` (CLIP-IQA, Wang et al. 2023)."""
-    of_good, of_bad = clip(images, [good, bad]).T
-    return float((100 * (of_good - of_bad)).sigmoid().mean())
-
-
 def central_square(images: Images, side: int) -> Float[Tensor, "n 3 side side"]:
     """Prepare images as CLIP does: shorter side to `side`, centre cut, normalised."""
     height, width = images.shape[-2:]

@@ -3,7 +3,6 @@
 What is killed at any moment leaves no result, only images that the next attempt overwrites.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -44,8 +43,6 @@ class MethodOutput:
     has_truth: bool  # whether the item's truth is what the editor was to show
     gaussians: int = 0
     verdict: str = ""  # the run's label of the scene
-    # the reference, and the held-back frames where poses are known, with the inputs permuted
-    reordered: Images | None = None
 
 
 @dataclass(frozen=True)
@@ -58,40 +55,21 @@ class ItemRunner:
 
     def __call__(self, item: LoadedItem, report: Report) -> MethodOutput:
         """Return what the method makes of the item, and tell `report` its stages."""
-        inputs = range(item.inputs)
         if self.method.edit_renders:
-            output = self._reconstruct(item, "none", inputs, report)
+            output = self._reconstruct(item, "none", report)
             with report.stage("edit (the renderings)"):
                 images = self._edit_each(item, output.images)
             return replace(output, images=images, edited=images[: item.inputs])
-        editor = self._editor(item, item.truth)
-        output = self._reconstruct(item, editor, inputs, report)
-        if item.inputs <= 2:
-            return output
-        # The other inputs come the other way round, with the same 2D edits: the reconstruction
-        # alone is asked.
-        order = [0, *reversed(inputs[1:])]
-        replayed = OracleEditor(output.edited[order], OracleSettings(disagreement=0))
-        images = self._reconstruct(item, replayed, order, Report()).images
-        # Between predicted cameras, where no pose is known, the held-back frames would not compare.
-        compared = [0]
-        if item.cameras is not None:
-            compared += range(item.inputs, len(images))
-        return replace(output, reordered=images[compared])
+        return self._reconstruct(item, self._editor(item, item.truth), report)
 
     def _reconstruct(
-        self,
-        item: LoadedItem,
-        editor: Editor | PartChoice | str,
-        order: Sequence[int],
-        report: Report,
+        self, item: LoadedItem, editor: Editor | PartChoice | str, report: Report
     ) -> MethodOutput:
-        """Edit and reconstruct the inputs in this order, and render the scene at all frames."""
-        method = self.method
-        order = list(order)
-        views = item.photos.select(order)
+        """Edit and reconstruct the inputs, and render the scene at all frames."""
+        method, inputs = self.method, range(item.inputs)
+        views = item.photos.select(inputs)
         if method.poses and item.cameras is not None:
-            views = replace(views, c2w=item.cameras.c2w[:, order])
+            views = replace(views, c2w=item.cameras.c2w[:, inputs])
         rasterizer = self._component("rasterizer", method.rasterizer)
         require_gives(rasterizer, method.rasterizer.name, *RENDERED, who="bench")
         result = edit3r.run(
@@ -99,7 +77,7 @@ class ItemRunner:
             item.record.prompt,
             editor=editor,
             recon=self._component("reconstructor", method.reconstructor),
-            masks=None if item.masks is None else item.masks[None, order],
+            masks=None if item.masks is None else item.masks[None, inputs],
             edit_views=method.edit_views,
             seed=item.record.seed,
             registry=self.registry,

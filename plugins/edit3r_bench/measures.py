@@ -4,7 +4,7 @@ made of them.
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import combinations, permutations, product
+from itertools import permutations, product
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
@@ -17,7 +17,6 @@ from torch import Tensor
 from edit3r import Registry
 from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.settings import Settings
-from edit3r.contract.types import Cameras
 from edit3r.kit.compute.metrics import psnr, ssim
 from edit3r.kit.files.configs import read_yaml
 from edit3r_bench import metrics
@@ -28,7 +27,6 @@ from edit3r_bench.features import (
     InceptionFeatures,
     crops,
     direction_similarity,
-    prompt_quality,
 )
 from edit3r_bench.item import MethodOutput
 from edit3r_bench.manifest import Images, LoadedItem
@@ -55,15 +53,12 @@ METRICS = _read_measures()
 """The measures of the main table, in the order of reports."""
 
 BY_REGION = {
-    f"{name}-in-{region}{frames}": METRICS[name]
+    f"{name}-in-{region}": METRICS[name]
     for name in ("psnr", "ssim", "lpips", "perceptual")
-    for frames in ("", "-inputs")
     for region in metrics.REGIONS
-    if (name, region, frames) != ("psnr", "edit", "")
+    if (name, region) != ("psnr", "edit")
 }
-"""The measures against the truth by region: at held-back views, and at those that the method was
-given.
-"""
+"""The measures against the truth by region."""
 
 # The numbers of this block: no figures kept.
 # Change of the 2D edit below which the editor did nothing [sRGB, low-passed]
@@ -75,8 +70,6 @@ FULL_STRENGTH = 0.04
 # Disagreement between views, or change outside the masks, at which nothing is left of that share
 # [sRGB]
 SPOILED = 0.1
-# scenes whose photos' features are kept for the scene's other edits
-MAX_PHOTOS_KEPT = 8
 
 
 class MetricNetworks:
@@ -94,18 +87,6 @@ class MetricNetworks:
         if not settings.no_effnet:
             self.features.append(EffnetFeatures())
             self.distances["perceptual"] = registry.build("loss", "perceptual")
-        self._of_photos: dict[tuple[str, bytes], np.ndarray] = {}
-
-    def photo_features(
-        self, network: FeatureNetwork, photos: Images
-    ) -> metrics.Features:
-        """Return the features of a scene's photos, which are kept for its other edits."""
-        key = (network.suffix, photos.numpy().tobytes())
-        if key not in self._of_photos:
-            if len(self._of_photos) > MAX_PHOTOS_KEPT:
-                self._of_photos.clear()
-            self._of_photos[key] = network(crops(photos))
-        return self._of_photos[key]
 
 
 def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> Found:
@@ -113,16 +94,11 @@ def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) ->
     values = {
         **_changes(item, output),
         **_consistency(item, output),
-        **_looks(item, output),
+        "sharpness": _sharpness(item, output),
         **_features(item, output, networks),
     }
     if output.has_truth:
         values |= _against_truth(item, output.images, networks.distances)
-    if output.reordered is not None:
-        held_back = len(output.reordered) - 1
-        frames = [0, *range(item.inputs, item.inputs + held_back)]
-        change = output.reordered - output.images[frames]
-        values["order-change"] = float(change.abs().mean())
     if networks.clip is not None:
         values |= _by_clip(item, output, networks.clip)
     return values
@@ -220,34 +196,16 @@ def _consistency(item: LoadedItem, output: MethodOutput) -> Found:
         "consistency-warped": (output.images, between_inputs),
         "consistency-held-back": (output.images, across),
     }
-    values = {
+    return {
         name: metrics.warped_difference(images, depths, cameras, pairs, masks)
         for name, (images, pairs) in compared.items()
     }
-    return values | _matching(_array(output.images), cameras)
 
 
-def _matching(images: metrics.Images, cameras: Cameras) -> Found:
-    """Match every two frames; the error is the median over the matches of all of them."""
-    pairs = list(combinations(range(len(images)), 2))
-    errors = []
-    for a, b in pairs:
-        points = metrics.matched_points(images[a], images[b])
-        errors += metrics.epipolar_distances(*points, cameras.select([a, b])).tolist()
-    return {
-        "matches": len(errors) / len(pairs),
-        "epipolar-error": float(np.median(errors)) if errors else math.nan,
-    }
-
-
-def _looks(item: LoadedItem, output: MethodOutput) -> Found:
-    """Return means over all frames of what is judged by each image alone, or beside its photo."""
-    images = _array(output.images)
-    photos = _array(item.photos.images[0])
-    return {
-        "sharpness": fmean(map(metrics.sharpness, images, photos)),
-        "blur": fmean(map(metrics.blur, images)),
-    }
+def _sharpness(item: LoadedItem, output: MethodOutput) -> float:
+    """The mean over all frames, each beside its photo."""
+    images, photos = _array(output.images), _array(item.photos.images[0])
+    return fmean(map(metrics.sharpness, images, photos))
 
 
 def _features(
@@ -256,7 +214,7 @@ def _features(
     """Compare pieces of this edit's renderings with those of its own scene's photos."""
     values = {}
     for network in networks.features:
-        photos = networks.photo_features(network, item.photos.images[0])
+        photos = network(crops(item.photos.images[0]))
         rendered = network(crops(output.images))
         values[f"c-fid{network.suffix}"] = metrics.frechet_distance(rendered, photos)
         values[f"c-kid{network.suffix}"] = metrics.kernel_distance(rendered, photos)
@@ -264,17 +222,9 @@ def _features(
 
 
 def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Found:
-    images = output.images
-    prompt = item.record.prompt
-    before = item.record.before
-    after = item.record.description or prompt
-    described, instructed = clip(images, [after, prompt]).mean(0).tolist()
-    values = {
-        "clip-t2i": described,
-        "clip-t2i-prompt": instructed,
-        "clip-iqa": prompt_quality(clip, images, "Good photo.", "Bad photo."),
-        "clip-iqa-sharp": prompt_quality(clip, images, "Sharp photo.", "Blurry photo."),
-    }
+    images, before = output.images, item.record.before
+    after = item.record.description or item.record.prompt
+    values = {"clip-t2i": float(clip(images, [after]).mean())}
     if before:
         photos = item.photos.images[0]
         moved = direction_similarity(clip, photos, images, before, after)
@@ -285,22 +235,20 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
 def _against_truth(
     item: LoadedItem, shown: Images, distances: Mapping[str, Any]
 ) -> Found:
-    """Means over the held-back frames, which the method was not given; by region of the inputs."""
+    """Means over the held-back frames, which the method was not given."""
     assert item.truth is not None  # asked before
-    images, truth = _array(shown), _array(item.truth)
-    photos = _array(item.photos.images[0])
-    inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks)
     held = slice(item.inputs, None)
-    values = _distances(images[held], truth[held], None, distances)
-    values["edit-uptake"] = metrics.edit_uptake(
-        images[held], photos[held], truth[held], inside[held]
+    images, truth, photos = (
+        _array(own[held]) for own in (shown, item.truth, item.photos.images[0])
     )
-    parts = {"": held, "-inputs": slice(item.inputs)}
+    inside = np.ones(truth.shape[:3])
+    if item.masks is not None:
+        inside = _array(item.masks[held])
+    values = _distances(images, truth, None, distances)
+    values["edit-uptake"] = metrics.edit_uptake(images, photos, truth, inside)
     for region, covered in metrics.regions(inside).items():
-        for frames, part in parts.items():
-            own = _distances(images[part], truth[part], covered[part], distances)
-            for name, value in own.items():
-                values[f"{name}-in-{region}{frames}"] = value
+        own = _distances(images, truth, covered, distances)
+        values |= {f"{name}-in-{region}": value for name, value in own.items()}
     return values
 
 

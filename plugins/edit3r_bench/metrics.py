@@ -12,15 +12,11 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from kornia.geometry import epipolar
 from scipy.ndimage import gaussian_filter
-from skimage.feature import match_descriptors
-from skimage.measure import blur_effect
 from torch import Tensor
 
 from edit3r.contract.types import Cameras
 from edit3r.kit.compute.changes import change_uptake
-from edit3r.kit.geometry.cameras import invert_rigid, to_pixels
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import shared_surface, warp
 
@@ -29,7 +25,6 @@ Images = Float[np.ndarray, "view height width 3"]
 Masks = Float[np.ndarray, "view height width"]
 Region = Bool[np.ndarray, "height width"]
 Regions = Bool[np.ndarray, "view height width"]
-Points = Float[np.ndarray, "point 2"]
 TorchImage = Float[Tensor, "3 height width"]
 DepthMap = Float[Tensor, "height width"]
 DepthMaps = Float[Tensor, "frame height width"]
@@ -44,9 +39,6 @@ is a little blurred or shifted has not been edited. No figure kept.
 REGIONS = ("edit", "band", "background")
 
 BAND = 0.05  # width of the band around an edit [image widths]; no figure kept
-# A match counts when its descriptor is nearer than this share of the second nearest's distance
-# (Lowe 2004)
-RATIO = 0.8
 
 NAN = float("nan")
 
@@ -74,11 +66,6 @@ def sharpness(image: Image, photo: Image) -> float:
         for own in (image, photo)
     )
     return float(of_image / of_photo) if of_photo > 1e-12 else NAN
-
-
-def blur(image: Image) -> float:
-    """The blur effect in [0, 1], 0 sharp (Crete et al. 2007, scikit-image), without reference."""
-    return float(blur_effect(_grey(image)))
 
 
 def _grey(image: Image) -> Float[np.ndarray, "height width"]:
@@ -166,40 +153,6 @@ def warped_image(
     depths = torch.stack((depth, other_depth))
     grid, seen = shared_surface(depths, cameras.intrinsics[0], cameras.c2w[0])
     return warp(image, grid), seen
-
-
-def matched_points(first: Image, second: Image) -> tuple[Points, Points]:
-    """Return where the same SIFT features lie in two images [pixels, centre of the top-left pixel
-    at (0.5, 0.5)].
-
-    A match is each other's nearest and passes the ratio test.
-    """
-    places = []
-    descriptors = []
-    for image in (first, second):
-        pixels = (image.clip(0, 1) * 255).round().astype(np.uint8)
-        keypoints, own = cv2.SIFT.create().detectAndCompute(pixels, None)
-        places.append(np.array(cv2.KeyPoint.convert(keypoints)))
-        descriptors.append(own)
-    if min(map(len, places)) < 2:
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    pairs = match_descriptors(
-        descriptors[0], descriptors[1], cross_check=True, max_ratio=RATIO
-    )
-    return places[0][pairs[:, 0]] + 0.5, places[1][pairs[:, 1]] + 0.5
-
-
-def epipolar_distances(
-    first: Points, second: Points, cameras: Cameras
-) -> Float[np.ndarray, "point"]:
-    """Mean distance of each point and its match from their epipolar lines [pixels]; 0 is best."""
-    k = to_pixels(cameras.intrinsics[0].double(), cameras.image_size)
-    projections = k @ invert_rigid(cameras.c2w[0].double())[:, :3]
-    fundamental = epipolar.fundamental_from_projections(*projections[:, None])
-    a, b = (torch.from_numpy(own)[None].double() for own in (first, second))
-    forward = epipolar.left_to_right_epipolar_distance(a, b, fundamental)
-    back = epipolar.right_to_left_epipolar_distance(a, b, fundamental)
-    return ((forward + back) / 2)[0].numpy()
 
 
 # ---- two sets of images, by the features of a network ----

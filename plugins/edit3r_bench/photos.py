@@ -35,7 +35,6 @@ from edit3r_bench.manifest import (
 from edit3r_bench.options import BuildOptions
 from edit3r_bench.proposals import LOCAL, Boxes, ProposedEdit, choose_edits
 
-PAPER_SCENES = 20
 MAX_SHOWN_SIDE = 512  # longer side of what the language model is shown [pixels]
 UNNAMED = "object in the middle"  # what templates speak of when nobody knows what a scene shows
 
@@ -207,7 +206,6 @@ class PhotoBuild:
         items = []
         for scene in track(self.scenes, "masks"):
             items += self._items(scene, chosen[scene.id])
-        edits = [edit for own in chosen.values() for edit in own]
         options = self.options
         return Manifest(
             name=f"{len(self.scenes)} photographed scenes",
@@ -219,34 +217,8 @@ class PhotoBuild:
                 "detector": options.detector and options.detector.name,
                 "segmenter": options.segmenter and options.segmenter.name,
                 "language_model": options.llm_model or None,
-                "edits_without_masks": [item.id for item in items if not item.masks],
-                "not_as_the_paper": self._differences(items, edits),
             },
         )
-
-    def _differences(
-        self, items: Sequence[ItemRecord], edits: Sequence[ProposedEdit]
-    ) -> list[str]:
-        """Return in what this benchmark was not built as the paper says (its section 3.5)."""
-        scenes = len(self.scenes)
-        unmasked = sum(item.type in LOCAL and not item.masks for item in items)
-        unmasked_adds = sum(item.type == "Add" and not item.masks for item in items)
-        unvetted = sum(edit.verdict != "keep" for edit in edits)
-        blind = self.model is not None and not self.options.llm_photos
-        by_hand = "detector" not in self.parts
-        sentences = {
-            f"{scenes} scenes, the paper has {PAPER_SCENES}": scenes != PAPER_SCENES,
-            "objects are named by hand, not found by a detector in all photos": by_hand,
-            "edits come from templates, not from a language model": not self.model,
-            "the language model was shown no photo": blind,
-            f"{unvetted} edits were not checked by a person": unvetted > 0,
-            f"{unmasked} local edits have no masks": unmasked > 0,
-            f"{unmasked_adds} edits that add something have no masks": bool(
-                unmasked_adds
-            ),
-            "scenes are drawn without a balance of indoor and outdoor": True,
-        }
-        return [sentence for sentence, holds in sentences.items() if holds]
 
     def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
         """What the scene shows, with boxes: found in all photos, else as the user says."""

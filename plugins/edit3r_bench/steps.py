@@ -48,8 +48,6 @@ def build(args: argparse.Namespace) -> None:
             f"{options.out}: {len(manifest.scenes)} scenes, {len(manifest.items)} edits; sha256 "
             f"{manifest.sha256}"
         )
-        for difference in manifest.notes.get("not_as_the_paper", ()):
-            print(f"  unlike the paper: {difference}.")
 
 
 def _from_photos(build: PhotoBuild) -> Manifest | None:

@@ -14,14 +14,3 @@ def register_critics():
             "signals of edit and scene, held to limits that were fitted to known ones",
         )
     ]
-
-
-@hookimpl
-def register_commands():
-    return [
-        Component(
-            "fit-verdict",
-            "edit3r_judge.fit:FitVerdictCommand",
-            "fit the limits of the verdict to edits of which it is known whether they are good",
-        )
-    ]

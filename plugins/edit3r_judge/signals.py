@@ -2,7 +2,7 @@
 meaning, none of which knows what a person meant.
 
 A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, beyond which the edit
-is doubtful; `edit3r fit-verdict` chooses it by edits that were made well and badly on purpose.
+is doubtful; `benchmarks/fit_verdict.py` chooses it by edits made well and badly on purpose.
 """
 
 from collections.abc import Callable, Iterator, Mapping

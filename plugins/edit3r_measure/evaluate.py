@@ -27,8 +27,7 @@ class EvaluateCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         # Heavy modules load now, so that the command line is parsed without them.
         from edit3r import default_registry
-        from edit3r_measure.evaluate_scenes import measure
-        from edit3r_measure.evaluate_tables import as_markdown, as_records
+        from edit3r_measure.evaluate_scenes import as_markdown, as_records, measure
 
         given = merge(given_flags(args, Evaluation), parse_assignments(args.set))
         asked = make_settings(Evaluation, merge(PARTS, given), where="evaluate")

@@ -1,4 +1,4 @@
-"""What `edit3r evaluate` is asked."""
+"""What may be asked of `edit3r evaluate`."""
 
 from typing import Any
 

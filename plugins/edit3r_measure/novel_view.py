@@ -20,8 +20,6 @@ from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
 from edit3r.kit.compute.lpips import lpips_distance, lpips_weights
 from edit3r.kit.compute.metrics import Image, Region, psnr, ssim
-from edit3r.kit.geometry.cameras import project
-from edit3r.kit.geometry.warping import SAME_SURFACE
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
 from edit3r.kit.reconstructing import WithMatcher
@@ -58,7 +56,6 @@ class RenderedView:
 
     image: Float[np.ndarray, "height width 3"]  # sRGB in [0, 1]
     covered: Region
-    depth: Float[np.ndarray, "height width"] | None = None  # camera z
 
 
 def views_of(photos: Sequence[PosedPhoto]) -> Views:
@@ -126,7 +123,6 @@ class PredictedScene:
         return RenderedView(
             image.cpu().numpy().astype(np.float32),
             rendering.alphas[0, 0, 0].cpu().numpy() > COVERED,
-            rendering.depths[0, 0, 0].cpu().numpy(),
         )
 
 
@@ -162,10 +158,9 @@ def novel_view(
     """Reconstruct from the scene's outer two inputs and compare the predicted target with the real
     one.
 
-    `blurred` figures are of the better input photo at its best blur, `covered` ones over the pixels
-    that the scene covers. PSNR [dB], `lpips` NaN where its weights are not installed, errors of
-    rotation and of the baseline's direction between the inputs [degrees], CPU time of the
-    reconstruction [seconds].
+    `blurred` figures are of the better input photo at its best blur. PSNR [dB], `lpips` NaN where
+    its weights are not installed, errors of rotation and of the baseline's direction between the
+    inputs [degrees], CPU time of the reconstruction [seconds].
     """
     inputs = [scene.inputs[0], scene.inputs[-1]]
     target = scene.target.image
@@ -176,15 +171,12 @@ def novel_view(
     shown = predicted.show(predicted.camera_of(scene.target))
     photos = [photo.image for photo in inputs]
     blurred_psnr, blurred_ssim = best_blurred_copy(photos, target)
-    covered_blurred_psnr, _ = best_blurred_copy(photos, target, shown.covered)
     rotation_error, direction_error = pose_errors(
         predicted.predicted_pose, predicted.true_pose
     )
     return {
         "psnr": psnr(shown.image, target),
         "blurred_psnr": blurred_psnr,
-        "covered_psnr": psnr(shown.image, target, shown.covered),
-        "covered_blurred_psnr": covered_blurred_psnr,
         "ssim": ssim(shown.image, target),
         "blurred_ssim": blurred_ssim,
         "lpips": lpips_distance(shown.image, target) if lpips_weights() else np.nan,
@@ -203,28 +195,6 @@ def pose_errors(predicted: Pose, true: Pose) -> tuple[float, float]:
     return rotation_degrees(predicted, true), direction
 
 
-def score_edit(
-    plain: RenderedView, edited: RenderedView, before: PosedPhoto, after: PosedPhoto
-) -> dict[str, float]:
-    """Compare what two renderings show of the edit that turned the photo `before` into `after`.
-
-    Changes are against the same scene without the edit. `uptake` is the projection of the shown
-    change on the true one, where the edit is (1 is all), `error` |shown - true| over |true| there,
-    `leak` the mean absolute change elsewhere [sRGB]; NaN where nothing of it is seen.
-    """
-    true = after.image - before.image
-    shown = edited.image - plain.image
-    covered = plain.covered & edited.covered
-    inside = (covered & _is_edited(before, after))[..., None]
-    outside = covered & (true == 0).all(-1)
-    seen = inside.any()
-    return {
-        "uptake": change_uptake(shown, true, inside) if seen else np.nan,
-        "error": change_error(shown, true, inside) if seen else np.nan,
-        "leak": _mean_size(shown, outside) if outside.any() else np.nan,
-    }
-
-
 @torch.no_grad()
 def carried_edit(
     reconstructor: WithMatcher, rasterizer: Rasterizer, scene: EvaluationScene
@@ -232,16 +202,15 @@ def carried_edit(
     """Reconstruct the scene unedited, with its first photo edited, and with the second edited the
     opposite way too.
 
-    With the first photo edited alone, `uptake`, `error` and `leak` are of view 1's own Gaussians,
-    seen from view 1, and `edited_psnr` of the novel view [dB]. With opposite edits, `disagreement`
-    is that of the views' changes over that of the edits, `kept` the uptake of the first photo's
-    edit in the novel view, `conflict_error` the mean difference to it where it is [sRGB], and
-    `conflict_opacity` that of view 1's Gaussians where view 0 shows the place, over that unedited.
+    With the first photo edited alone, of view 1's own Gaussians seen from view 1: `uptake` is the
+    projection of the shown change on the true one, where the edit is (1 is all), `error` |shown -
+    true| over |true| there, `leak` the mean absolute change elsewhere [sRGB], NaN where nothing of
+    it is seen; `edited_psnr` is of the novel view [dB]. With opposite edits, `disagreement` is that
+    of the views' changes over that of the edits. Changes are against the scene without the edit.
     """
     photos = [scene.inputs[0], scene.inputs[-1]]
     edited = [scene.edited[0], scene.edited[-2]]
-    target = scene.target
-    edited_target = scene.edited[-1]
+    target, edited_target = scene.target, scene.edited[-1]
     source = views_of(photos)
 
     def reconstructed(*views: PosedPhoto) -> PredictedScene:
@@ -254,62 +223,32 @@ def carried_edit(
     own = plain.cameras.select([1])
     between = plain.camera_of(target)
 
-    edit = score_edit(plain.show(own, 1), carried.show(own, 1), photos[1], edited[1])
+    before, after = (scene.show(own, 1) for scene in (plain, carried))
+    shown, true = after.image - before.image, edited[1].image - photos[1].image
+    covered = before.covered & after.covered
+    inside = (covered & _is_edited(photos[1], edited[1]))[..., None]
+    outside = covered & (true == 0).all(-1)
     unedited = [plain.show(between, view) for view in (0, 1)]
     contrary = [opposed.show(between, view) for view in (0, 1)]
     region = unedited[0].covered & unedited[1].covered
     region &= _is_edited(target, edited_target)
-    if np.isnan(edit["uptake"]) or not region.any():
+    if not (inside.any() and region.any()):
         raise MatchingError("the edit is not visible in both photos.")
     changes = [after.image - before.image for before, after in zip(unedited, contrary)]
     disagreement = _mean_size(changes[0] - changes[1], region)
     asked = edited_target.image - _opposite(target, edited_target).image
-    novel_plain = plain.show(between)
-    novel_opposed = opposed.show(between)
-    whole = score_edit(novel_plain, novel_opposed, target, edited_target)
-    conflict = novel_opposed.image - edited_target.image
-    novel_carried = carried.show(between)
-    return edit | {
+    return {
+        "uptake": change_uptake(shown, true, inside),
+        "error": change_error(shown, true, inside),
+        "leak": _mean_size(shown, outside) if outside.any() else np.nan,
         "disagreement": disagreement / _mean_size(asked, region),
-        "kept": whole["uptake"],
-        "conflict_error": _mean_size(conflict, region),
-        "conflict_opacity": _share_of_opacity(plain, opposed, edited[1]),
-        "edited_psnr": psnr(novel_carried.image, edited_target.image),
-        "unedited_psnr": psnr(novel_plain.image, target.image),
+        "edited_psnr": psnr(carried.show(between).image, edited_target.image),
+        "unedited_psnr": psnr(plain.show(between).image, target.image),
     }
 
 
 def _mean_size(change: Float[np.ndarray, "height width 3"], region: Region) -> float:
     return float(np.abs(change[region]).mean())
-
-
-def _share_of_opacity(
-    plain: PredictedScene, opposed: PredictedScene, edited: PosedPhoto
-) -> float:
-    """Return the opacity of view 1's Gaussians where its photo is `edited`, over that without an
-    edit; NaN: unseen.
-
-    Counted are those at the depth of what view 0 shows in view 1's camera.
-    """
-    other = plain.show(plain.cameras.select([1]), 0)
-    region = other.covered & _is_edited(plain.inputs[-1], edited)
-    before, after = (_opacity_in(region, other, scene) for scene in (plain, opposed))
-    return after / before if before else np.nan
-
-
-def _opacity_in(region: Region, other: RenderedView, scene: PredictedScene) -> float:
-    gaussians = scene.reconstruction.gaussians.from_view(1)
-    camera = scene.cameras.select([1])
-    projected = project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0])
-    places, depths = (values[0].cpu().numpy() for values in projected)
-    visible = ((places > 0) & (places < 1)).all(-1)
-    height, width = region.shape
-    columns, rows = (places[visible] * (width, height)).astype(int).T
-    assert other.depth is not None  # it was rendered
-    surface = other.depth[rows, columns]
-    near = np.abs(depths[visible] - surface) < SAME_SURFACE * surface
-    opacities = gaussians.opacities[0].cpu().numpy()[visible]
-    return float(opacities[near & region[rows, columns]].sum())
 
 
 def _is_edited(before: PosedPhoto, after: PosedPhoto) -> Region:
@@ -321,17 +260,12 @@ def _opposite(before: PosedPhoto, after: PosedPhoto) -> PosedPhoto:
     return replace(before, image=np.clip(2 * before.image - after.image, 0, 1))
 
 
-def best_blurred_copy(
-    photos: Iterable[Image], target: Image, covered: Region | None = None
-) -> tuple[float, float]:
-    """Return the highest PSNR [dB] that any photo reaches under any Gaussian blur, and the SSIM of
-    that copy.
-
-    It is the baseline without geometry. The PSNR counts the `covered` pixels only, if given, the
-    SSIM all.
+def best_blurred_copy(photos: Iterable[Image], target: Image) -> tuple[float, float]:
+    """The highest PSNR [dB] that any photo reaches under any Gaussian blur, and the SSIM of that
+    copy: the baseline without geometry.
     """
     copies = (
         gaussian_filter(photo, (sigma, sigma, 0)) for photo in photos for sigma in BLURS
     )
-    best = max(copies, key=lambda copy: psnr(copy, target, covered))
-    return psnr(best, target, covered), ssim(best, target)
+    best = max(copies, key=lambda copy: psnr(copy, target))
+    return psnr(best, target), ssim(best, target)

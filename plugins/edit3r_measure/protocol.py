@@ -99,7 +99,7 @@ def index_scenes(
 ) -> list[SceneSource]:
     """Return the pairs of an index as scenes; their photos are those of `places`."""
     return [
-        SceneSource(name, "protocol", partial(_index_scene, name, entry, places, size))
+        SceneSource(name, partial(_index_scene, name, entry, places, size))
         for name, entry in index
     ]
 

@@ -51,7 +51,6 @@ class SceneSource:
     """A scene that has not been loaded yet."""
 
     name: str  # unique among the scenes of a measurement
-    kind: str  # as in `EvaluationScene`
     load: Callable[[], EvaluationScene]
 
 
@@ -83,7 +82,7 @@ def find_scenes(
     scenes = []
     for index in range(min(options.count, len(dataset))):
         load = partial(sample_scene, source, index, dataset)
-        scenes.append(SceneSource(f"{source}-{mark[:6]}-{index}", source, load))
+        scenes.append(SceneSource(f"{source}-{mark[:6]}-{index}", load))
     return scenes
 
 
@@ -93,7 +92,7 @@ def _photographed(folder: PosedFolder, options: SceneOptions) -> list[SceneSourc
         first, second, _ = triple
         name = f"{folder.name}-{options.size}-{first}-{second}"
         load = partial(photo_scene, folder, triple, options.size)
-        scenes.append(SceneSource(name, PHOTOS, load))
+        scenes.append(SceneSource(name, load))
     if not scenes:
         raise InputError(
             f"{folder.path}: no two photos are 5 to 30 degrees apart with a third between them."

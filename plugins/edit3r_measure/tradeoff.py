@@ -1,22 +1,63 @@
 """`edit3r tradeoff`: what speed costs in accuracy, measured on this machine, and the presets that
-follow from it.
-
-    plan file        -> points                    tradeoff_plan
-    points, scenes   -> rows of figures           tradeoff_measure
-    rows             -> presets, tables     tradeoff_report
+follow from it. A plan file names points, each a choice of run settings.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field
 
 from edit3r.contract.command import Command
-from edit3r.contract.settings import Settings, make_settings
+from edit3r.contract.errors import SettingsError, suggest
+from edit3r.contract.settings import Settings, make_settings, merge, of_file
 from edit3r.kit.command.flags import add_common, add_trust_flag
 from edit3r.kit.command.results import alone_in, shown_stages, write_text
+from edit3r.kit.files.configs import read_yaml
 from edit3r.running import add_flags, given_flags
-from edit3r_measure.tradeoff_plan import read_plan
+
+SHIPPED = Path(__file__).with_name("tradeoff_plan.yaml")
+
+
+class TradeoffPlan(Settings):
+    """A plan file."""
+
+    base: dict[str, Any]
+    """run settings of every point"""
+    points: dict[str, dict[str, Any]]
+    """label of each point to the run settings that it lays over the base"""
+    data: tuple[str, ...]
+    """folders and data sets that are measured unless others are named"""
+    size: int = Field(512, ge=32, le=4096)
+    """side of the largest photos [pixels]"""
+    datasets: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """settings of data sets by name"""
+
+    def settings_of(self, labels: Sequence[str] | None = None) -> dict[str, dict]:
+        """Return the run settings of each point by label; `labels`: of these points only."""
+        settings = {}
+        for label in labels or self.points:
+            if label not in self.points:
+                raise SettingsError(
+                    f"--only {label}: no such point.{suggest(label, self.points)} "
+                    f"Points: {', '.join(self.points)}."
+                )
+            settings[label] = merge(self.base, self.points[label])
+        return settings
+
+
+def read_plan(file: str = "", trusted: bool = False) -> TradeoffPlan:
+    """Read a plan file, "" for the one that ships.
+
+    Raises SettingsError naming the key that is wrong. A file that is not `trusted` gives no
+    setting that names a program or an address.
+    """
+    path = file or SHIPPED
+    content = read_yaml(path)
+    return make_settings(
+        TradeoffPlan, content if trusted else of_file(content), where=str(path)
+    )
 
 
 class TradeoffOptions(Settings):
@@ -52,8 +93,12 @@ class TradeoffCommand(Command):
         # Heavy modules load now, so that the command line is parsed without them.
         from edit3r import default_registry
         from edit3r_measure.scene_sources import SceneOptions, find_scenes
-        from edit3r_measure.tradeoff_measure import measure_points
-        from edit3r_measure.tradeoff_report import report, summarize, write_presets
+        from edit3r_measure.tradeoff_measure import (
+            measure_points,
+            report,
+            summarize,
+            write_presets,
+        )
 
         given = given_flags(args, TradeoffOptions)
         options = make_settings(TradeoffOptions, given, where="tradeoff")

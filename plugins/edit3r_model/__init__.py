@@ -7,9 +7,9 @@ whose rules are in `edited_views`, `colour_function` and `disagreement`.
 `single_pass`, with the full network, finds geometry by itself: `view_fitting`, then `backbone` (of
 blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`.
 
-`network` gives the parts their weights, which `checkpoints`, `official_checkpoints` and `hub` read;
-`engine` chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the
-limits. Written from a description of the published network; no code of that family is used.
+`network` gives the parts their weights, which `checkpoints` and `official_checkpoints` read;
+`engine` chooses the precision and brings loaded layers into it; `memory` has the limits. Written
+from a description of the published network; no code of that family is used.
 """
 
 from edit3r import Component, hookimpl
@@ -106,13 +106,3 @@ def register_reconstructors():
         citation=_CITATION,
     )
     return (edit3r, noposplat)
-
-
-@hookimpl
-def register_commands() -> list[Component]:
-    convert = Component(
-        "convert",
-        "edit3r_model.convert:ConvertCommand",
-        "convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it",
-    )
-    return [convert]

@@ -57,20 +57,14 @@ class AsymmetricViT(Backbone):
         """encoder blocks"""
         heads: int | None = Field(None, ge=1)
         """encoder attention heads; default: width / 64"""
-        mlp_width: int | None = Field(None, ge=1)
-        """hidden channels of the encoder's MLPs; default: 4 width"""
         decoder_width: int = Field(768, ge=4)
         """decoder channels"""
         decoder_depth: int = Field(12, ge=3)
         """blocks of each decoder, which the heads read at four levels"""
         decoder_heads: int | None = Field(None, ge=1)
         """decoder attention heads; default: width / 64"""
-        decoder_mlp_width: int | None = Field(None, ge=1)
-        """hidden channels of the decoders' MLPs; default: 4 decoder_width"""
         patch_size: Count = 16
         """height and width of a patch [pixels]"""
-        rope_base: float = Field(100.0, gt=1)
-        """base of the rotary frequencies"""
         seed: int | None = 0
         """of the initial weights; none leaves them empty (no memory), to be filled from a
         checkpoint
@@ -95,9 +89,8 @@ class AsymmetricViT(Backbone):
         s = self.settings
         self.patch_embed = XavierConv2d(3, s.width, s.patch_size, s.patch_size)
         self.intrinsics_embed = nn.Linear(9, s.width)
-        hidden = s.mlp_width or 4 * s.width
         self.encoder = nn.ModuleList(
-            EncoderBlock(s.width, self.heads, hidden) for _ in range(s.depth)
+            EncoderBlock(s.width, self.heads, 4 * s.width) for _ in range(s.depth)
         )
         self.encoder_norm = layer_norm(s.width)
         self.decoder_embed = XavierLinear(s.width, s.decoder_width)
@@ -105,11 +98,9 @@ class AsymmetricViT(Backbone):
         self.decoder_norm = layer_norm(s.decoder_width)
 
     def _decoder(self) -> nn.ModuleList:
-        s = self.settings
-        hidden = s.decoder_mlp_width or 4 * s.decoder_width
+        width, depth = self.settings.decoder_width, self.settings.decoder_depth
         blocks = (
-            DecoderBlock(s.decoder_width, self.decoder_heads, hidden)
-            for _ in range(s.decoder_depth)
+            DecoderBlock(width, self.decoder_heads, 4 * width) for _ in range(depth)
         )
         return nn.ModuleList(blocks)
 
@@ -129,18 +120,14 @@ class AsymmetricViT(Backbone):
         self, images: Images, intrinsics: Intrinsics, wanted: tuple[int, ...]
     ) -> Features:
         """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
-        grid, chosen = self._grid(images), self.settings
-
-        def rotation_of(head_width: int) -> Rotation:
-            base = chosen.rope_base
-            return _cached_rotation(grid, head_width, base, images.device)
-
+        grid, chosen, device = self._grid(images), self.settings, images.device
         tokens = self._embed(images, intrinsics)
-        rotation = rotation_of(chosen.width // self.heads)
+        rotation = _cached_rotation(grid, chosen.width // self.heads, device)
         for block in self.encoder:
             tokens = block(tokens, rotation)
         encoded = self.encoder_norm(tokens).unflatten(0, images.shape[:2])
-        rotation = rotation_of(chosen.decoder_width // self.decoder_heads)
+        head_width = chosen.decoder_width // self.decoder_heads
+        rotation = _cached_rotation(grid, head_width, device)
         levels = self._decode(encoded, rotation, wanted)
         patches = grid[0] * grid[1]
         return Features(tuple(level[:, :, :patches] for level in levels), grid)
@@ -220,10 +207,10 @@ def hook_levels(depth: int) -> tuple[int, int, int, int]:
 
 @lru_cache(maxsize=16)
 def _cached_rotation(
-    grid: tuple[int, int], head_width: int, base: float, device: torch.device
+    grid: tuple[int, int], head_width: int, device: torch.device
 ) -> Rotation:
     with torch.inference_mode(False):  # a cached table may later be used with gradients
-        return make_rotation(patch_positions(grid), head_width, base, device)
+        return make_rotation(patch_positions(grid), head_width, device)
 
 
 def _heads(name: str, given: int | None, width: int) -> int:

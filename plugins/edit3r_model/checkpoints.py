@@ -21,7 +21,6 @@ from edit3r.contract.settings import PartChoice
 from edit3r.kit.weights.files import weights_file
 from edit3r.kit.weights.find import find
 from edit3r_model import OFFICIAL, OFFICIAL_RESOLUTION
-from edit3r_model.hub import download, is_hub_id
 from edit3r_model.memory import draw_leaf, leaf_names, release_pages
 from edit3r_model.official_checkpoints import (
     DRAWN,
@@ -34,10 +33,6 @@ from edit3r_model.official_checkpoints import (
 )
 
 _OF_A_TRAINING = {"optimizer", "average", "step"}  # keys of what `--resume` reads
-WEIGHTS = "model.safetensors"
-CONFIG = "config.json"
-"""What `edit3r convert` writes; the text repeats the metadata for people."""
-
 PARTS = ("backbone", "head")
 TOLD = (*PARTS, "resolution", "licence")
 """Metadata of a file, each as JSON."""
@@ -78,7 +73,7 @@ class LoadedWeights:
 
 
 def load_weights(source: str | Path) -> LoadedWeights:
-    """Open a `.ckpt`, `.pth` or `.safetensors` file, a folder of ours, or a hub id.
+    """Open a `.ckpt`, `.pth` or `.safetensors` file, or the folder of a training.
 
     `shipped` are those of this package; `official` are the authors' own, which `edit3r weights get`
     fetches. Raises InputError when the file is none of these or is damaged, MissingDependencyError
@@ -92,7 +87,12 @@ def load_weights(source: str | Path) -> LoadedWeights:
             resolution=OFFICIAL_RESOLUTION,
             licence=OFFICIAL.licence,
         )
-    path = SHIPPED if source == "shipped" else _file_of(str(source))
+    path = SHIPPED if source == "shipped" else weights_file(source)
+    if not path.is_file():
+        raise InputError(
+            f"{source}: no such weights; expected a .ckpt, .pth or .safetensors file, or a folder "
+            "of edit3r train."
+        )
     if path.suffix != ".safetensors":
         return _official(read_torch_file(path), path, str(source))
     tensors, about = _read_safetensors(path)
@@ -101,20 +101,6 @@ def load_weights(source: str | Path) -> LoadedWeights:
     return LoadedWeights(
         path, str(source), "edit3r", tensors, **_description(about, path)
     )
-
-
-def _file_of(source: str) -> Path:
-    """The file that a path, a folder or a hub id means."""
-    path = download(source) if is_hub_id(source) else Path(source)
-    if path.is_dir():
-        converted = path / WEIGHTS
-        path = converted if converted.is_file() else weights_file(path)
-    if not path.is_file():
-        raise InputError(
-            f"{source}: no such weights; expected a .ckpt, .pth or .safetensors file, "
-            "a folder of edit3r train or edit3r convert, or a hub id owner/name@revision."
-        )
-    return path
 
 
 def _official(content: Mapping[str, object], path: Path, source: str) -> LoadedWeights:

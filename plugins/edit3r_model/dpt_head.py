@@ -59,8 +59,6 @@ class DptGaussianHead(GaussianHead):
         """
         scale_factor: float = Field(0.001, gt=0)
         """of softplus(raw scale) [scene units]"""
-        max_scale: float = Field(0.3, gt=0)
-        """largest standard deviation [scene units]"""
         dropout: float = Field(0.0, ge=0, lt=1)
         """share of the attribute predictor's features left out while training"""
         levels: tuple[int, int, int, int] | None = None
@@ -106,7 +104,6 @@ class DptGaussianHead(GaussianHead):
             self.raw_points(features),
             self.raw_parameters(features, images),
             self.settings.scale_factor,
-            self.settings.max_scale,
             self.degree,
         )
 
@@ -240,7 +237,7 @@ class DptTrunk(nn.Module):
     def forward(self, maps: list[Maps]) -> Maps:
         """`maps` are the token levels on the patch grid, finest use first."""
         rows, columns = maps[0].shape[-2:]
-        # May differ from the backbone's; of int8 the deconvolutions alone have parameters.
+        # May differ from the backbone's.
         dtype = next(self.reassemble.parameters()).dtype
         layers = [
             project(reassemble(level.to(dtype)))

@@ -2,30 +2,21 @@
 
 `make_plan` decides from settings and from what this machine was measured to do, before anything
 loads; `prepare_leaf` then converts one layer after the other while the rest of the network is still
-on disk. Only int8 has layers of its own (`int8_layers`); every other precision is torch's plain
-layers, which can be trained.
+on disk.
 """
 
 import time
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, TypeGuard
+from typing import Literal
 
 import torch
 from torch import nn
 
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.reporting import note, warn
-from edit3r_model.int8_layers import Int8Conv, Int8Linear
 
-Precision = Literal["float32", "bfloat16", "float16", "int8"]
-DTYPES = {
-    "float32": torch.float32,
-    "bfloat16": torch.bfloat16,
-    "float16": torch.float16,
-}
-MIN_INT8_CHANNELS = 64
-"""Narrower layers spend more on quantising than the products save."""
+Precision = Literal["float32", "bfloat16", "float16"]
 WORTHWHILE = 1.2
 """How much faster bfloat16 must be than float32 to be chosen; less would cost digits for nothing.
 """
@@ -37,7 +28,7 @@ CPU = torch.device("cpu")
 class EnginePlan:
     """What the layers of a network hold and compute in, and where."""
 
-    backbone: Precision = "float32"  # int8: linears, with float32 between them
+    backbone: Precision = "float32"
     head: Precision = "float32"
     device: torch.device = CPU
 
@@ -48,20 +39,13 @@ def make_plan(
     device: torch.device,
 ) -> EnginePlan:
     """The plan for a device. Raises SettingsError for a precision that it does not run."""
-    on_cpu = device.type == "cpu"
-    if precision == "float16" and on_cpu:
+    if precision == "float16" and device.type == "cpu":
         raise SettingsError(
-            "reconstructor.precision: float16 is for CUDA; on a CPU use bfloat16 or int8."
-        )
-    if precision == "int8" and not (on_cpu and torch.backends.mkldnn.is_available()):
-        raise SettingsError(
-            "reconstructor.precision: int8 is for CPUs where torch has oneDNN; use bfloat16."
+            "reconstructor.precision: float16 is for CUDA; on a CPU use bfloat16."
         )
     if precision == "auto":
         precision = "bfloat16" if bfloat16_gain(device) >= WORTHWHILE else "float32"
         note("reconstructor.precision", f"{precision}, after measuring")
-    if head_precision == "auto" and precision == "int8":
-        head_precision = "bfloat16" if bfloat16_gain(device) >= WORTHWHILE else "int8"
     if head_precision == "auto":
         head_precision = precision
     if "bfloat16" in (precision, head_precision) and bfloat16_gain(device) < 1:
@@ -107,23 +91,10 @@ def _clock(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def _is_wide(leaf: nn.Module) -> TypeGuard[nn.Linear | nn.Conv2d]:
-    """Whether a layer has enough channels for int8."""
-    if not isinstance(leaf, nn.Linear | nn.Conv2d):
-        return False
-    return min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS
-
-
-def prepare_leaf(
-    network: nn.Module, name: str, leaf: nn.Module, plan: EnginePlan
-) -> None:
-    """Convert the leaf called `name` in place: dtype, memory layout, device, or its int8 form."""
-    form = plan.backbone if name.startswith("backbone.") else plan.head
-    if form == "int8" and _is_wide(leaf):
-        layer = Int8Linear(leaf) if isinstance(leaf, nn.Linear) else Int8Conv(leaf)
-        network.set_submodule(name, layer)
-        return
-    leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
+def prepare_leaf(name: str, leaf: nn.Module, plan: EnginePlan) -> None:
+    """Convert the leaf called `name` in place: dtype, memory layout, device."""
+    precision = plan.backbone if name.startswith("backbone.") else plan.head
+    leaf.to(device=plan.device, dtype=getattr(torch, precision))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
         # torch's stubs lack it
         leaf.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

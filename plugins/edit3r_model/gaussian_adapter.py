@@ -17,6 +17,8 @@ A sanity limit.
 """
 MIN_SCALE = 1e-12
 """Keeps scales positive where softplus underflows [scene units]."""
+MAX_SCALE = 0.3
+"""As in NoPoSplat [scene units]."""
 MIN_QUAT = 1e-6
 """Shorter raw quaternions have no direction to speak of; dividing by their length would make
 gradients explode.
@@ -32,11 +34,6 @@ def centres(raw: Vectors) -> Vectors:
     length = raw.norm(dim=-1, keepdim=True)
     distance = torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
     return raw / length.clamp(min=1e-8) * distance
-
-
-def bounded_scales(raw: Vectors, factor: float, largest: float) -> Vectors:
-    """Compute standard deviations min(factor softplus(raw), largest) [scene units]."""
-    return (factor * F.softplus(raw)).clamp(MIN_SCALE, largest)
 
 
 def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
@@ -63,7 +60,6 @@ def adapt(
     points: Float[Tensor, "batch view 3 height width"],
     attributes: Maps,
     scale_factor: float,
-    max_scale: float,
     degree: int,
 ) -> Gaussians:
     """One Gaussian per pixel of raw maps, view-major, row-major, with harmonics up to `degree`."""
@@ -75,7 +71,7 @@ def adapt(
     view_index = torch.arange(points.shape[1], device=points.device)
     return Gaussians(
         means=centres(_per_pixel(points)),
-        scales=bounded_scales(scale, scale_factor, max_scale),
+        scales=(scale_factor * F.softplus(scale)).clamp(MIN_SCALE, MAX_SCALE),
         quats=quats_from_xyzw(quat),
         opacities=opacity.squeeze(-1).sigmoid(),
         harmonics=harmonics[..., :kept, :] * harmonics_mask(degree, raw)[:, None],

@@ -15,10 +15,7 @@ from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Backbone
 from edit3r.contract.reporting import available_memory
 
-ADVICE = (
-    "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 "
-    "or int8"
-)
+ADVICE = "lower reconstructor.resolution, use fewer views, or set reconstructor.precision=bfloat16"
 
 _WORKING_TENSORS = 14
 """Token-sized tensors alive at the peak of a block: residual, norm, q, k, v, their rotated copies,

@@ -79,7 +79,7 @@ def load_network(
         leaves = fill(network, loaded, seed)
     total = len(leaf_names(network))
     for done, (name, leaf) in enumerate(leaves, start=1):
-        prepare_leaf(network, name, leaf, plan)
+        prepare_leaf(name, leaf, plan)
         progress("loading weights", done, total)
     return network.eval()
 

@@ -116,10 +116,8 @@ def _backbone(state: Mapping[str, Tensor]) -> dict:
     return {
         "width": width,
         "depth": _count(state, r"backbone\.enc_blocks\.(\d+)\."),
-        "mlp_width": len(state["backbone.enc_blocks.0.mlp.fc1.weight"]),
         "decoder_width": len(state["backbone.decoder_embed.weight"]),
         "decoder_depth": _count(state, r"backbone\.dec_blocks\.(\d+)\."),
-        "decoder_mlp_width": len(state["backbone.dec_blocks.0.mlp.fc1.weight"]),
         "patch_size": patch,
     }
 

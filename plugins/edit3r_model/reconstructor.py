@@ -111,8 +111,8 @@ class Edit3rReconstructor(NetworkReconstructor):
         head: PartChoice = PartChoice(name="edit-fusion")
         """features to Gaussians"""
         weights: str = "shipped"
-        """'shipped', 'untrained', 'official' (the authors' own), a file, the folder best of `edit3r
-        train`, or a hub id; a file that names its parts brings them along
+        """'shipped', 'untrained', 'official' (the authors' own), a file, or the folder best of
+        `edit3r train`; a file that names its parts brings them along
         """
 
     settings: Settings
@@ -128,8 +128,8 @@ class NoPoSplatReconstructor(NetworkReconstructor):
         """features to Gaussians"""
         weights: str | None = None
         """'official' (the authors' own), NoPoSplat .ckpt, MASt3R .pth (initialisation),
-        .safetensors, our folder, hub id owner/name@revision, or 'random' for an untrained
-        network (tests and speed only)
+        .safetensors, the folder best of `edit3r train`, or 'random' for an untrained network (tests
+        and speed only)
         """
 
     settings: Settings
@@ -149,8 +149,8 @@ def _check_parts(
     if settings.weights is None:
         raise MissingDependencyError(
             "reconstructor noposplat ships no weights; give some with --set "
-            "reconstructor.weights=FILE (a NoPoSplat .ckpt, or a folder written by edit3r convert),"
-            " or use the reconstructor edit3r."
+            "reconstructor.weights=FILE (a NoPoSplat .ckpt, or a folder of edit3r train), or use "
+            "the reconstructor edit3r."
         )
     if not head.uses_geometry:
         if backbone.uses_geometry:

@@ -36,22 +36,17 @@ class SinglePassSettings(config.Settings):
     fit: Literal["resize", "pad"] = "resize"
     """single pass: how sides become multiples of the patch: stretched to the nearest, or padded"""
     precision: Precision | Literal["auto"] = "float32"
-    """single pass: of the network: float32, bfloat16, float16 (CUDA), int8 (CPU); auto: bfloat16
-    where a product, timed while it loads, is faster than in float32
+    """single pass: of the network: float32, bfloat16, float16 (CUDA); auto: bfloat16 where a
+    product, timed while it loads, is faster than in float32
     """
     head_precision: Precision | Literal["auto"] = "auto"
-    """single pass: of the head; auto: as the backbone, beside int8 bfloat16 where that is timed
-    faster
-    """
+    """single pass: of the head; auto: as the backbone"""
     device: str = "auto"
     """single pass: cpu, cuda, cuda:1, ...; auto: cuda where there is one"""
 
 
 class SinglePass:
-    """Images to the network's size, through the network, Gaussians to the size that was asked for.
-
-    In int8 it cannot be trained.
-    """
+    """Images to the network's size, through the network, Gaussians to the size asked for."""
 
     def __init__(self, settings: SinglePassSettings, network: GaussianNetwork) -> None:
         if settings.fit == "pad" and network.head.per_pixel == 0:
@@ -77,11 +72,7 @@ class SinglePass:
     def _run(self, views: Views) -> Reconstruction:
         """The network's own answer for views of a size that it takes."""
         learns = self.network.training and torch.is_grad_enabled()
-        chosen, size = self.settings, views.image_size
-        if learns and "int8" in (chosen.precision, chosen.head_precision):
-            raise SettingsError(
-                "reconstructor.precision: int8 layers cannot be trained; set precision=float32."
-            )
+        size = views.image_size
         note("reconstructor.network_input_size", list(size))
         what = f"reconstructing {views.count} views at {size[0]}x{size[1]}"
         device = (*self.network.parameters(), *self.network.buffers())[0].device

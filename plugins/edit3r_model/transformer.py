@@ -4,7 +4,7 @@ Pre-norm, exact GELU, no dropout, no layer scale. Linear layers start with Xavie
 and zero bias. Positions are the two-dimensional rotary embedding of CroCo (Weinzaepfel et al.
 2022): half of each head's channels are rotated by the token's row, half by its column. Inside a
 half, channel j is paired with channel j + d/4 (not with its neighbour), and the pair is rotated by
-the angle `position * base^(-4j/d)`, d being the width of a head.
+the angle `position * BASE^(-4j/d)`, d being the width of a head.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 NORM_EPS = 1e-6
+BASE = 100.0  # of the rotary frequencies, as in CroCo
 
 Tokens = Float[Tensor, "batch token width"]
 Heads = Float[Tensor, "batch token head channel"]
@@ -44,12 +45,11 @@ def patch_positions(grid: tuple[int, int]) -> Int[Tensor, "token 2"]:
 def make_rotation(
     positions: Int[Tensor, "token 2"],
     head_width: int,
-    base: float,
     device: torch.device | str = "cpu",
 ) -> Rotation:
     """Build the tables for tokens at `positions`, computed in float64 and kept in float32."""
     pairs = head_width // 4
-    frequencies = base ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
+    frequencies = BASE ** (-torch.arange(pairs, dtype=torch.float64) / pairs)
     # [token, 1, axis, 1, pair]
     angles = positions.double()[:, None, :, None, None] * frequencies
     cos = angles.cos().expand(-1, -1, -1, 2, -1)

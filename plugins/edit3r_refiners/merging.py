@@ -12,10 +12,13 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import covariances, matrices_to_quats
-from edit3r_refiners.settings import SimplifySettings
 
 Region = Bool[Tensor, "view height width"]
 
+# The numbers of this block: no figures kept.
+SAME_DEPTH = 0.02  # relative difference up to which two views show the same surface
+SPREAD = 1.75  # size of a merged Gaussian against the moments of its cell
+BEHIND = 0.25  # how far one moves away from its camera [its largest scale]
 FAR_OUTSIDE = 1e6  # positions are clamped to this [pixels]
 OPAQUE = 0.5
 # an earlier view may show the surface with pixels this much larger; no figure kept
@@ -66,10 +69,8 @@ def own_pixel_inside(
     """Which lie on a pixel of the region in their own view; outside the nearest one counts."""
     placement = place(gaussians, cameras)
     height, width = cameras.image_size
-    row, column = (
-        placement.row.clamp(0, height - 1),
-        placement.column.clamp(0, width - 1),
-    )
+    row = placement.row.clamp(0, height - 1)
+    column = placement.column.clamp(0, width - 1)
     return region[placement.view, row, column] & (placement.depth > 0)
 
 
@@ -95,13 +96,13 @@ def duplicates(
     gaussians: Gaussians,
     cameras: Cameras,
     placement: Placement,
-    settings: SimplifySettings,
+    alike_up_to: float,
 ) -> Bool[Tensor, "gaussian"]:
     """Find Gaussians (batch 1) on a surface that an earlier view shows in the same colour and no
     coarser.
 
     The pixel of the earlier view they fall on must hold an opaque Gaussian that is no duplicate
-    itself, within `duplicate_depth`, and it or one around it must be within `duplicate_colour` (two
+    itself, within `SAME_DEPTH`, and it or one around it must be within `alike_up_to` in colour (two
     views do not sample the same points).
     """
     doubled = torch.zeros_like(placement.view, dtype=torch.bool)
@@ -118,7 +119,7 @@ def duplicates(
         column, row = x.floor().long(), y.floor().long()
         other = _value_at(nearest, row, column)
         shown = (other >= 0) & (
-            (depth - placement.depth[other]).abs() < settings.duplicate_depth * depth
+            (depth - placement.depth[other]).abs() < SAME_DEPTH * depth
         )
         shown &= placement.pixel_size[other] < AS_FINE * placement.pixel_size[later]
         later, column, row = later[shown], column[shown], row[shown]
@@ -126,7 +127,7 @@ def duplicates(
         for dy, dx in AROUND:
             near = _value_at(nearest, row + dy, column + dx)
             difference = (colours[later] - colours[near]).square().mean(-1)
-            alike |= (near >= 0) & (difference <= settings.duplicate_colour**2)
+            alike |= (near >= 0) & (difference <= alike_up_to**2)
         doubled[later[alike]] = True
     return doubled
 
@@ -169,10 +170,7 @@ def _value_at(
 
 
 def merge_groups(
-    gaussians: Gaussians,
-    group: Int[Tensor, "gaussian"],
-    cameras: Cameras,
-    settings: SimplifySettings,
+    gaussians: Gaussians, group: Int[Tensor, "gaussian"], cameras: Cameras
 ) -> Gaussians:
     """Merge each group of Gaussians of one scene (batch 1) into one; those of group -1 stay
     unchanged.
@@ -186,16 +184,13 @@ def merge_groups(
     alone, members = (group < 0).nonzero()[:, 0], (group >= 0).nonzero()[:, 0]
     if members.numel() == 0:
         return gaussians
-    merged = _merged(gaussians.select(members), group[members], cameras, settings)
+    merged = _merged(gaussians.select(members), group[members], cameras)
     result = Gaussians.cat((gaussians.select(alone), merged))
     return result.select(result.view_index.argsort(stable=True))
 
 
 def _merged(
-    gaussians: Gaussians,
-    group: Int[Tensor, "gaussian"],
-    cameras: Cameras,
-    settings: SimplifySettings,
+    gaussians: Gaussians, group: Int[Tensor, "gaussian"], cameras: Cameras
 ) -> Gaussians:
     """Return one Gaussian per group by matching moments."""
     groups = int(group.max()) + 1
@@ -216,9 +211,8 @@ def _merged(
         mean(offset[:, :, None] * offset[:, None] + own)
     )
     axes = axes * torch.linalg.det(axes).sign()[:, None, None]
-    scales = variances.clamp(min=1e-24).sqrt() * variances.new_tensor(
-        [1.0, settings.spread, settings.spread]
-    )
+    wider = variances.new_tensor([1.0, SPREAD, SPREAD])
+    scales = variances.clamp(min=1e-24).sqrt() * wider
     view = gaussians.view_index.new_full((groups,), -1).scatter_reduce_(
         0, group, gaussians.view_index, "amax"
     )
@@ -232,7 +226,7 @@ def _merged(
         unsure = mean(unsure[0].double())[None].to(gaussians.means.dtype)
     camera_centre = cameras.c2w[0, view.clamp(0, cameras.count - 1), :3, 3].double()
     direction = torch.nn.functional.normalize(centre - camera_centre, dim=-1)
-    centre = centre + settings.behind * scales[:, 2:] * direction
+    centre = centre + BEHIND * scales[:, 2:] * direction
     opacity = mean(gaussians.opacities[0].double())
     dtype = gaussians.means.dtype
     return Gaussians(

@@ -19,6 +19,10 @@ from edit3r_refiners.merging import Placement
 from edit3r_refiners.settings import SimplifySettings
 
 # The numbers of this block: no figures kept.
+LARGEST_CELL = 5  # merged cells have sides of at most 2^this pixels
+# share of a linear change of colour that counts as error within a merged cell
+GRADIENT_SHARE = 0.5
+EDGE = 0.05  # change of colour per pixel that surfaces out of place are taken to cause
 # Gaussians further outside an image than this are never merged [image sizes]
 MARGIN = 0.5
 VIEWS_AT_ONCE = 8  # that are measured together: the sums of a pixel take 84 bytes
@@ -58,13 +62,12 @@ def measure_cells(
     weight: Float[Tensor, "gaussian"],
     cameras: Cameras,
     parallax: float,
-    settings: SimplifySettings,
 ) -> Cells:
-    """Measure the error of every cell up to `settings.largest_cell`; empty cells cost nothing."""
+    """Measure the error of every cell up to `LARGEST_CELL`; empty cells cost nothing."""
     height, width = cameras.image_size
     near = _near_images(placement, height, width)
     inside = near.nonzero()[:, 0]
-    side = 2**settings.largest_cell
+    side = 2**LARGEST_CELL
     row, rows = _padded(placement.row[inside], height, side)
     column, columns = _padded(placement.column[inside], width, side)
     pixel = placement.view[inside], row, column
@@ -80,7 +83,7 @@ def measure_cells(
         place = (view[own] * rows + row[own]) * columns + column[own]
         sums = _pixel_sums(*(value[own].float() for value in values))
         dense = _sum_per_pixel(sums, place, (views, rows, columns))
-        blocks.append(_measure_block(dense, parallax, focal, settings))
+        blocks.append(_measure_block(dense, parallax, focal))
     count, error = (
         {level: torch.cat([table[level] for table in tables]) for level in tables[0]}
         for tables in zip(*blocks)
@@ -89,21 +92,16 @@ def measure_cells(
 
 
 def _measure_block(
-    dense: Float[Tensor, "channel view row column"],
-    parallax: float,
-    focal: float,
-    settings: SimplifySettings,
+    dense: Float[Tensor, "channel view row column"], parallax: float, focal: float
 ) -> tuple[dict[tuple[int, int], Tensor], dict[tuple[int, int], Tensor]]:
     """Count and error of every cell of some views, by level, from the sums of each pixel."""
-    levels = settings.largest_cell
+    levels = LARGEST_CELL
     count, error = {}, {}
     for by_y in range(levels + 1):
         wide = dense
         for by_x in range(levels + 1):
             count[by_y, by_x] = wide[COUNT].clone()  # a view would keep all channels
-            error[by_y, by_x] = _merging_cost(
-                wide, 1 << by_y + by_x, parallax, focal, settings
-            )
+            error[by_y, by_x] = _merging_cost(wide, 1 << by_y + by_x, parallax, focal)
             wide = _sum_pairs(wide, COLUMNS) if by_x < levels else wide
         dense = _sum_pairs(dense, ROWS) if by_y < levels else dense
     return count, error
@@ -129,10 +127,8 @@ def partition(cells: Cells, price: float) -> Int[Tensor, "gaussian"]:
         choice = table[cell]
         merged.append(walking[choice == MERGE])
         keys.append(cell[choice == MERGE])
-        by_y, by_x = (
-            by_y - (choice == ALONG_Y).long(),
-            by_x - (choice == ALONG_X).long(),
-        )
+        by_y = by_y - (choice == ALONG_Y).long()
+        by_x = by_x - (choice == ALONG_X).long()
         further = (choice == ALONG_X) | (choice == ALONG_Y)
         walking, by_y, by_x = walking[further], by_y[further], by_x[further]
         if not walking.numel():
@@ -151,8 +147,6 @@ def scene_price(cells: Cells, settings: SimplifySettings) -> float:
     reconstruction is off by as much. Where it is faint, the same error would be the worst of the
     view. Flat scenes pay `LEAST_PRICE` at least.
     """
-    if cells.levels == 0:
-        return settings.price
     errors = cells.error[1, 1][cells.count[1, 1] > 1]
     errors = errors[errors.isfinite()].double()
     mean = float(errors.mean()) if errors.numel() else 0.0
@@ -193,10 +187,8 @@ def _best_choices(
     for level in sorted(((by_y, by_x) for by_y in sides for by_x in sides), key=sum):
         count = cells.count[level]
         least = torch.where(count > 1, cells.error[level] + price, torch.inf)
-        number, choice = (
-            torch.ones_like(count),
-            torch.full_like(count, MERGE, dtype=torch.int8),
-        )
+        number = torch.ones_like(count)
+        choice = torch.full_like(count, MERGE, dtype=torch.int8)
         for other, its_cost, its_number in _alternatives(
             cells, price, level, cost, left
         ):
@@ -320,12 +312,11 @@ def _merging_cost(
     area: int,
     parallax: float,
     focal: float,
-    settings: SimplifySettings,
 ) -> Float[Tensor, "view row column"]:
     """Return the squared error, summed over a cell's pixels, of merging its Gaussians; infinite
     where they must not.
 
-    Colour: what its mean leaves over, where a linear change counts `gradient_share` only, because
+    Colour: what its mean leaves over, where a linear change counts `GRADIENT_SHARE` only, because
     neighbouring Gaussians blend into each other. Depth: what no plane explains (a plane's disparity
     is linear in the image), as pixels that the surface moves by between the views. `area` [pixels]
     is that of each cell; `parallax` and `focal` [pixels] are the distance between the views and one
@@ -334,11 +325,9 @@ def _merging_cost(
     weight = sums[WEIGHT]
     mean_x, mean_y, xx, yy, xy, *moments = sums[2:] / weight.clamp(min=1e-12)
     # A pixel is not a point: its own extent keeps the fit of few pixels from being exact.
-    var_x, var_y, cov = (
-        xx - mean_x**2 + 1 / 12,
-        yy - mean_y**2 + 1 / 12,
-        xy - mean_x * mean_y,
-    )
+    var_x = xx - mean_x**2 + 1 / 12
+    var_y = yy - mean_y**2 + 1 / 12
+    cov = xy - mean_x * mean_y
     steepness = 1 / (var_x * var_y - cov * cov).clamp(min=1e-12)
     values, squares = moments[:VALUES], moments[VALUES : VALUES + 2]
 
@@ -352,11 +341,11 @@ def _merging_cost(
 
     linear = fitted(0) + fitted(1) + fitted(2)
     unequal = squares[0] - values[0] ** 2 - values[1] ** 2 - values[2] ** 2
-    colour = (unequal - (1 - settings.gradient_share) * linear).clamp(min=0) / 3
+    colour = (unequal - (1 - GRADIENT_SHARE) * linear).clamp(min=0) / 3
     disparity = values[3]
     spread = (squares[1] - disparity**2).clamp(min=0)
     bent = (spread - fitted(3)).clamp(min=0)
-    error = weight * (colour + (settings.edge * parallax) ** 2 * bent)
+    error = weight * (colour + (EDGE * parallax) ** 2 * bent)
     steep = spread * focal**2 > STEEPEST**2 * (var_x + var_y) * disparity**2
     refused = (steep & (spread * parallax**2 > STILL**2)) | (
         sums[COUNT] < LEAST_FILL * area

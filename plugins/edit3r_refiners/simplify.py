@@ -46,6 +46,10 @@ from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, pas
 POLISH = RefineSettings(
     colour=0.015, opacity=0.08, scale=0.08, centre=0.04, growth=1000, recolouring=1000
 )
+# drop a Gaussian whose blending weight sums to less over the pictures [pixels]
+CONTRIBUTION = 0.02
+# change of a pixel up to which harmonics of higher degrees are dropped
+TOLERANCE = 1 / 255
 TELLING_VIEWS = 3  # that tell what simplifying lost, where there are more
 # how far new views of a lone photo are taken to be [its median depth]
 LONE_BASELINE = 0.1
@@ -119,12 +123,12 @@ def simplify(
         )
     if gaussians.count <= (1 if most is None else most):
         return Simplified(gaussians, gaussians.count, 0, 0, 0)
-    kept = drop_unneeded_harmonics(
-        gaussians, viewpoints(cameras), rasterizer, settings.harmonics
-    )
-    twice = duplicates(kept, cameras, place(kept, cameras), settings)
+    seen_from = viewpoints(cameras)
+    kept = drop_unneeded_harmonics(gaussians, seen_from, rasterizer, TOLERANCE)
+    alike_up_to = settings.duplicate_colour
+    twice = duplicates(kept, cameras, place(kept, cameras), alike_up_to)
     kept = kept.select(~twice)
-    seen = visible_weight(kept, cameras, rasterizer) >= settings.contribution
+    seen = visible_weight(kept, cameras, rasterizer) >= CONTRIBUTION
     kept = kept.select(seen)
     fewer = _merge(kept, cameras, most, settings, fine)
     if most is not None and fewer.count > most:
@@ -176,9 +180,8 @@ def _merge(
     placement = place(gaussians, cameras)
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     parallax = _parallax(placement, cameras)
-    cells = measure_cells(
-        placement, colours, gaussians.opacities[0], cameras, parallax, settings
-    )
+    weight = gaussians.opacities[0]
+    cells = measure_cells(placement, colours, weight, cameras, parallax)
     price = (
         scene_price(cells, settings) if most is None else price_for_count(cells, most)
     )
@@ -186,7 +189,7 @@ def _merge(
     if fine is not None and most is None:
         groups[own_pixel_inside(gaussians, fine, cameras.at(size_of(fine)))] = -1
         groups[groups >= 0] = torch.unique(groups[groups >= 0], return_inverse=True)[1]
-    return merge_groups(gaussians, groups, cameras, settings)
+    return merge_groups(gaussians, groups, cameras)
 
 
 def _parallax(placement: Placement, cameras: Cameras) -> float:

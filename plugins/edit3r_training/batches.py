@@ -3,7 +3,7 @@ stacked.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry, SceneSample
-from edit3r.contract.types import Cameras, Views
+from edit3r.contract.types import Cameras, Tensors, Views
 from edit3r.kit.geometry.cameras import scale_poses, unproject
 from edit3r_training.asymmetric_inputs import EditedSample, RegimeShares, edit_sample
 from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
@@ -24,8 +24,8 @@ No figure kept.
 """
 
 
-@dataclass(frozen=True)
-class TrainingBatch:
+@dataclass(frozen=True, repr=False)
+class TrainingBatch(Tensors):
     """B scenes of V context and T target views, in the unit of `geometry` where there is one."""
 
     source: Views  # unedited context
@@ -40,10 +40,6 @@ class TrainingBatch:
     # where an edit may have added or removed something, so that `depths` tell nothing of the truth;
     # None: nowhere
     reshaped: Bool[Tensor, "batch view height width"] | None = None
-
-    def to(self, device: torch.device) -> "TrainingBatch":
-        """Everything on another device."""
-        return _with_tensors(lambda tensor: tensor.to(device), self)
 
     def true_centres(self) -> Float[Tensor, "batch gaussian 3"] | None:
         """Surface points of all context pixels, view-major, row-major."""
@@ -74,7 +70,7 @@ def make_batch(
         _batch_of_one(sample, shares, rng, unit, match)
         for sample, rng in zip(samples, generators)
     ]
-    return _with_tensors(lambda *tensors: torch.cat(tensors), *batches)
+    return _joined(*batches)
 
 
 def _batch_of_one(
@@ -119,15 +115,14 @@ def _reshaped(
     return ((edit.truth - photos).abs().amax(1) > OTHER_SURFACE) & edit.reshaped
 
 
-def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
-    """Like the first of equal data classes, with `function` of all their tensors inside."""
+def _joined(*values: Any) -> Any:
+    """Equal data classes as one, their tensors joined along the batch."""
     first = values[0]
     if isinstance(first, Tensor):
-        return function(*values)
-    if not is_dataclass(first) or isinstance(first, type):
+        return torch.cat(values)
+    if not isinstance(first, Tensors):
         return first
-    moved = {}
-    for name in (field.name for field in fields(first)):
-        inner = (getattr(value, name) for value in values)
-        moved[name] = _with_tensors(function, *inner)
-    return replace(first, **moved)
+    names = [field.name for field in fields(first)]
+    return replace(
+        first, **{n: _joined(*(getattr(one, n) for one in values)) for n in names}
+    )

@@ -3,6 +3,7 @@ looks like.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -20,6 +21,7 @@ from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r_training.spans import CountSpan, Span
 
 Images = Float[Tensor, "view 3 height width"]
@@ -130,6 +132,16 @@ class DrawnPhotos:
     masks: Float[Tensor, "object view height width"] | None = None
     edited: Images | None = None
 
+    @staticmethod
+    def of(scene: str, photos: Sequence[PosedPhoto], **more: Any) -> "DrawnPhotos":
+        """The photos, with `more` of what is known of them."""
+        images, lenses, poses = (
+            torch.from_numpy(np.stack([getattr(photo, name) for photo in photos]))
+            for name in ("image", "intrinsics", "c2w")
+        )
+        images = images.permute(0, 3, 1, 2).contiguous()
+        return DrawnPhotos(scene, images, poses, lenses.float(), **more)
+
     def check(self, settings: PhotoSettings) -> None:
         """Raise InputError for cameras that stand too near or too far apart, and for wide lenses.
 
@@ -169,17 +181,29 @@ class DrawnPhotos:
             masks = None if masks is None else masks.flip(-1)
             edited = None if edited is None else edited.flip(-1)
         cameras = Cameras(poses[None], intrinsics[None], size_of(images))
-        return SceneSample(
-            context=images[:context],
-            target=images[context:],
-            context_cameras=cameras.select(range(context)),
-            target_cameras=cameras.select(range(context, cameras.count)),
-            context_masks=None if masks is None else masks[:, :context],
-            target_masks=None if masks is None else masks[:, context:],
-            edited_context=None if edited is None else edited[:context],
-            edited_target=None if edited is None else edited[context:],
-            name=name,
-        )
+        return divided(context, images, cameras, masks, edited, name=name)
+
+
+def divided(
+    context: int,
+    images: Images,
+    cameras: Cameras,
+    masks: Float[Tensor, "object view height width"] | None,
+    edited: Images | None,
+    **more: Any,
+) -> SceneSample:
+    """The sample of views of which the first `context` are context and the rest targets."""
+    return SceneSample(
+        context=images[:context],
+        target=images[context:],
+        context_cameras=cameras.select(range(context)),
+        target_cameras=cameras.select(range(context, cameras.count)),
+        context_masks=None if masks is None else masks[:, :context],
+        target_masks=None if masks is None else masks[:, context:],
+        edited_context=None if edited is None else edited[:context],
+        edited_target=None if edited is None else edited[context:],
+        **more,
+    )
 
 
 def growing_gap(

@@ -17,6 +17,8 @@ from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.geometry.maps import size_of
+from edit3r_training.photo_dataset import divided
 from edit3r_training.procedural_scenes import (
     ProceduralScene,
     random_cameras,
@@ -152,22 +154,11 @@ class ProceduralDataset(Dataset):
         relative = torch.from_numpy(np.linalg.inv(shown.poses[0]) @ shown.poses).float()
         relative[0] = torch.eye(4)
         k = shown.intrinsics.expand(1, len(relative), 3, 3)
-        size = (self.settings.image_size, self.settings.image_size)
-        cameras, views = Cameras(relative[None], k, size), self.settings.context
-        count = cameras.count
-        depths = np.stack([view.depth for view in shown.views[:views]])
-        return SceneSample(
-            context=shown.images[:views],
-            target=shown.images[views:],
-            context_cameras=cameras.select(range(views)),
-            target_cameras=cameras.select(range(views, count)),
-            context_depths=torch.from_numpy(depths),
-            context_masks=shown.masks[:, :views],
-            target_masks=shown.masks[:, views:],
-            edited_context=None if edited is None else edited[:views],
-            edited_target=None if edited is None else edited[views:],
-            name=name,
-        )
+        cameras = Cameras(relative[None], k, size_of(shown.images))
+        context = self.settings.context
+        depths = np.stack([view.depth for view in shown.views[:context]])
+        known = {"context_depths": torch.from_numpy(depths), "name": name}
+        return divided(context, shown.images, cameras, shown.masks, edited, **known)
 
 
 @dataclass(frozen=True)

@@ -77,11 +77,7 @@ class Re10kDataset(PhotoDataset):
                 f"scene {key}: frame {max(indices)} was asked for, but it has {count} frames, "
                 "counted from 0."
             )
-        drawn = self._drawn(scene, list(indices))
-        return [
-            PosedPhoto(image.permute(1, 2, 0).numpy(), k.double().numpy(), c2w.numpy())
-            for image, k, c2w in zip(drawn.images, drawn.intrinsics, drawn.c2w)
-        ]
+        return self._frames(scene, indices)
 
     def _label(self, scene: tuple[Path, int]) -> str:
         return f"{scene[0].name}[{scene[1]}]"
@@ -98,23 +94,14 @@ class Re10kDataset(PhotoDataset):
                 f"scene {content['key']} has {count} frames, too few for {chosen.context} context "
                 "views."
             )
-        return self._drawn(content, views)
+        return DrawnPhotos.of(content["key"], self._frames(content, views))
 
-    def _drawn(self, scene: dict, views: list[int]) -> DrawnPhotos:
+    def _frames(self, scene: dict, views: Sequence[int]) -> list[PosedPhoto]:
         """Some frames of a checked scene."""
-        cameras, files, key = scene["cameras"][views], scene["images"], scene["key"]
+        cameras = scene["cameras"]
+        files = scene["images"]
         size = self.settings.image_size
-        squares = [_square(files[v], c, size, key) for v, c in zip(views, cameras)]
-        images, intrinsics = zip(*squares)
-        # The file has row-major 3x4 world-to-camera matrices.
-        w2c = torch.eye(4, dtype=torch.float64).repeat(len(views), 1, 1)
-        w2c[:, :3] = cameras[:, 6:].double().reshape(-1, 3, 4)
-        return DrawnPhotos(
-            scene=key,
-            images=torch.stack(images),
-            c2w=invert_rigid(w2c),
-            intrinsics=torch.stack(intrinsics),
-        )
+        return [_square(files[v], cameras[v], size, scene["key"]) for v in views]
 
 
 @lru_cache(maxsize=2)
@@ -151,8 +138,8 @@ def _checked(scene: dict) -> dict:
 
 def _square(
     file: UInt8[Tensor, " byte"], camera: Float[Tensor, "18"], size: int, key: str
-) -> tuple[Float[Tensor, "3 size size"], Float[Tensor, "3 3"]]:
-    """The centred square of one frame in [0, 1], and its normalised intrinsics."""
+) -> PosedPhoto:
+    """The centred square of one frame, with its camera."""
     try:
         content = io.BytesIO(file.numpy().tobytes())
         image = Image.open(content, formats=FORMATS).convert("RGB")
@@ -161,5 +148,8 @@ def _square(
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()
     k = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
-    square = torch.from_numpy(np.asarray(frame.cut(image), np.float32) / 255)
-    return square.permute(2, 0, 1), frame.follow(k).float()
+    # The file has row-major 3x4 world-to-camera matrices.
+    w2c = torch.eye(4, dtype=torch.float64)
+    w2c[:3] = camera[6:].double().reshape(3, 4)
+    square = np.asarray(frame.cut(image), np.float32) / 255
+    return PosedPhoto(square, frame.follow(k).numpy(), invert_rigid(w2c).numpy())

@@ -94,16 +94,8 @@ class TransformsDataset(PhotoDataset):
         if chosen.edits:
             edits = Path(chosen.edits) / folder.name
             edited = torch.stack([_edit_of(edits, camera, size) for camera in cameras])
-        images = torch.from_numpy(np.stack([photo.image for photo in photos]))
-        lenses = torch.from_numpy(np.stack([photo.intrinsics for photo in photos]))
-        return DrawnPhotos(
-            scene=folder.name,
-            images=images.permute(0, 3, 1, 2).contiguous(),
-            c2w=torch.from_numpy(np.stack([photo.c2w for photo in photos])),
-            intrinsics=lenses.float(),
-            masks=None if regions is None else regions.masks(cameras, size),
-            edited=edited,
-        )
+        masks = None if regions is None else regions.masks(cameras, size)
+        return DrawnPhotos.of(folder.name, photos, masks=masks, edited=edited)
 
     def _choose(
         self, folder: PosedFolder, rng: np.random.Generator, gap: tuple[int, int]

@@ -28,7 +28,6 @@ class Cards(Reconstructor):
     class Settings(Settings):
         depth: float = 2.9  # in mean distances of the other cameras from the first
         fails: bool = False
-        only_last: bool = False
 
     def __init__(self, settings):
         self.settings = settings
@@ -48,8 +47,6 @@ class Cards(Reconstructor):
         scales, harmonics = torch.full((1, count, 3), size), colour_to_dc(colours)[:, :, None]
         view = torch.arange(views.count).repeat_interleave(count // views.count)
         gaussians = Gaussians(points, scales, quats, opacities, harmonics, view)
-        if self.settings.only_last:
-            gaussians = gaussians.from_view(views.count - 1)
         return Reconstruction(gaussians, Cameras(views.c2w, views.intrinsics, views.image_size))
 
 

@@ -7,9 +7,7 @@ import pytest
 import torch
 from edit3r_bench.features import ClipSimilarity, central_square, direction_similarity
 
-import edit3r
 from edit3r.contract.errors import MissingDependencyError
-from edit3r.contract.interfaces import LossInputs
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 if find_spec("transformers") is None:
@@ -24,32 +22,17 @@ def folder(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("clip")
     letters = list(bytes_to_unicode().values())
-    words = [
-        *letters,
-        *(letter + "</w>" for letter in letters),
-        "<|startoftext|>",
-        "<|endoftext|>",
-    ]
-    (folder / "vocab.json").write_text(
-        json.dumps({word: index for index, word in enumerate(words)})
-    )
+    words = [*letters, *(letter + "</w>" for letter in letters)]
+    words += ["<|startoftext|>", "<|endoftext|>"]
+    numbered = {word: index for index, word in enumerate(words)}
+    (folder / "vocab.json").write_text(json.dumps(numbered))
     (folder / "merges.txt").write_text("#version: 0.2\n")
-    transformers.CLIPTokenizerFast.from_pretrained(
-        folder, model_max_length=77
-    ).save_pretrained(folder)
-    small = {
-        "projection_dim": 16,
-        "hidden_size": 32,
-        "intermediate_size": 37,
-        "num_hidden_layers": 2,
-        "num_attention_heads": 4,
-    }
-    tokens = {
-        "vocab_size": 514,
-        "bos_token_id": 512,
-        "eos_token_id": 513,
-        "pad_token_id": 513,
-    }
+    read = transformers.CLIPTokenizerFast.from_pretrained
+    read(folder, model_max_length=77).save_pretrained(folder)
+    small = {"projection_dim": 16, "hidden_size": 32, "intermediate_size": 37}
+    small |= {"num_hidden_layers": 2, "num_attention_heads": 4}
+    tokens = {"vocab_size": 514, "bos_token_id": 512}
+    tokens |= {"eos_token_id": 513, "pad_token_id": 513}
     config = transformers.CLIPConfig(
         text_config={**small, **tokens},
         vision_config={**small, "image_size": 32, "patch_size": 8},
@@ -78,15 +61,12 @@ def test_similarity_is_a_cosine_for_every_picture_and_text(similarity, images):
 
 
 def test_it_agrees_with_transformers_own_forward(similarity, images):
-    tokens = similarity.tokenizer(
-        ["a red bike", "snow"], padding=True, return_tensors="pt"
-    )
+    texts = ["a red bike", "snow"]
+    tokens = similarity.tokenizer(texts, padding=True, return_tensors="pt")
     with torch.no_grad():
         output = similarity.model(pixel_values=central_square(images, 32), **tokens)
         cosines = output.logits_per_image / similarity.model.logit_scale.exp()
-    assert torch.allclose(
-        similarity(images, ["a red bike", "snow"]), cosines, atol=1e-5
-    )
+    assert torch.allclose(similarity(images, texts), cosines, atol=1e-5)
 
 
 def test_the_central_square_is_cut_without_stretching():
@@ -107,12 +87,6 @@ def test_colours_are_normalised_as_clip_was_trained():
         assert torch.allclose(given.mean((0, 2, 3)), expected, atol=1e-5)
 
 
-def test_gradients_reach_the_pictures(similarity, images):
-    images.requires_grad_()
-    similarity(images, ["a red bike"]).sum().backward()
-    assert torch.isfinite(images.grad).all() and images.grad.abs().max() > 0
-
-
 def test_a_very_long_text_is_cut(similarity, images):
     assert similarity(images, ["bike " * 100]).shape == (2, 1)
 
@@ -120,20 +94,6 @@ def test_a_very_long_text_is_cut(similarity, images):
 def test_missing_weights_are_a_sentence():
     with pytest.raises(MissingDependencyError, match="hf download openai/clip"):
         ClipSimilarity(local_files_only=True)
-
-
-def test_the_clip_loss_is_zero_at_the_target_and_pulls_towards_it(folder):
-    loss = edit3r.build("loss", "clip", model=str(folder))
-    target = torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(1))
-    rendered = torch.rand(
-        1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(2)
-    ).requires_grad_()
-    assert abs(loss(LossInputs(rendered=target, target=target)).item()) < 1e-5
-    value = loss(LossInputs(rendered=rendered, target=target))
-    (gradient,) = torch.autograd.grad(value, rendered)
-    assert 0 < value.item() <= 2
-    step = rendered.detach() - 1e-2 * gradient / gradient.norm()
-    assert loss(LossInputs(rendered=step, target=target)) < value
 
 
 @pytest.mark.parametrize(
@@ -152,9 +112,7 @@ class TwoAxes:
         return torch.nn.functional.normalize(images[:, [0, 2]].mean((2, 3)), dim=-1)
 
     def embed_texts(self, texts):
-        return torch.tensor(
-            [[1.0, 0.0] if text.startswith("r") else [0.0, 1.0] for text in texts]
-        )
+        return torch.eye(2)[[0 if text.startswith("r") else 1 for text in texts]]
 
 
 def test_direction_is_one_for_the_wished_change_and_zero_for_none():
@@ -167,7 +125,6 @@ def test_direction_is_one_for_the_wished_change_and_zero_for_none():
 
 
 def test_direction_runs_on_a_real_network(similarity, images):
-    value = direction_similarity(
-        similarity, images, 1 - images, "a house", "a red house"
-    )
+    texts = ("a house", "a red house")
+    value = direction_similarity(similarity, images, 1 - images, *texts)
     assert value.shape == (2,) and value.abs().max() <= 1

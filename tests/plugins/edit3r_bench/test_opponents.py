@@ -1,12 +1,9 @@
-"""The ways of editing a scene that the benchmark compares with, and what it asks of all: no
-dependence on order.
-"""
+"""The ways of editing a scene that the benchmark compares with."""
 
 from types import SimpleNamespace
 
 import pytest
 import torch
-from edit3r_bench.generated import build_generated
 from edit3r_bench.item import ItemRunner
 from edit3r_bench.manifest import load_item
 from edit3r_bench.measures import measure, remark
@@ -19,24 +16,15 @@ EXACT = {"name": "oracle", "disagreement": 0.0}
 NO_NETWORKS = SimpleNamespace(features=[], clip=None, distances={})
 
 
-@pytest.fixture(scope="module")
-def three_inputs(small):
-    """A benchmark of a scene with three inputs and one held-back image."""
-    settings = small.model_copy(update={"inputs": 3})
-    return build_generated(1, settings, default_registry())
-
-
 def first_item(manifest):
     return load_item(manifest, manifest.items[0], "", default_registry())
 
 
-def outcome(manifest, cards, settings=(), **method):
+def outcome(manifest, cards, **method):
     """What a method shows of the first edit, and its figures."""
     chosen = {"editor": EXACT, "run": {"gaussians": "all", "refine": 0}, **method}
-    runner = ItemRunner(
-        Method(reconstructor={"name": "cards", **dict(settings)}, **chosen),
-        default_registry((cards,)),
-    )
+    made_by = Method(reconstructor={"name": "cards"}, **chosen)
+    runner = ItemRunner(made_by, default_registry((cards,)))
     item = first_item(manifest)
     with torch.no_grad():
         output = runner(item, Report())
@@ -71,23 +59,3 @@ def test_single_view_lifting_shows_the_reference_alone(manifest, cards):
 def test_settings_of_the_run_reach_it(manifest, cards):
     few, _ = outcome(manifest, cards, run={"gaussians": 500, "refine": 0})
     assert few.gaussians <= 500
-
-
-@pytest.mark.slow
-def test_a_reconstructor_that_takes_all_views_alike_does_not_mind_their_order(
-    three_inputs, cards
-):
-    _, alike = outcome(three_inputs, cards)
-    assert alike["order-change"] < 1e-4
-    _, last = outcome(three_inputs, cards, settings={"only_last": True})
-    assert last["order-change"] > 0.01
-
-
-def test_the_order_is_asked_with_the_same_2d_edits(three_inputs, cards):
-    spoiled = {"name": "oracle", "disagreement": 1.0, "reference": "spoiled"}
-    _, figures = outcome(three_inputs, cards, editor=spoiled)
-    assert figures["order-change"] < 1e-4
-
-
-def test_with_two_inputs_there_is_no_other_order(manifest, cards):
-    assert "order-change" not in outcome(manifest, cards)[1]

@@ -22,6 +22,7 @@ from edit3r_bench.proposals import (
     write_vetting,
 )
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, SettingsError
@@ -74,26 +75,17 @@ def detector(tmp_path_factory):
     return ["--detector", "middle", "--plugin", str(path)]
 
 
+def build_of(folder, *more):
+    """Run the command; its exit code."""
+    out = str(folder.parent / "bench.json")
+    command = ["bench", "build", str(folder), "--out", out, "--size", "64", "--quiet"]
+    return main([*command, *more])
+
+
 def build(folder, *more):
     """Run the command; the manifest's path."""
-    out = folder.parent / "bench.json"
-    assert (
-        main(
-            [
-                "bench",
-                "build",
-                str(folder),
-                "--out",
-                str(out),
-                "--size",
-                "64",
-                "--quiet",
-                *more,
-            ]
-        )
-        == 0
-    )
-    return out
+    assert build_of(folder, *more) == 0
+    return folder.parent / "bench.json"
 
 
 # ---- scenes ----
@@ -102,14 +94,10 @@ def build(folder, *more):
 def test_scenes_are_folders_with_photos_and_without_poses_inputs_are_spread(folder):
     scenes = find_photo_folders(folder, views=2)
     assert [scene.id for scene in scenes] == ["garden", "kitchen"]
-    assert (
-        scenes[0].inputs == (0, 2)
-        and scenes[0].held_back == ()
-        and scenes[0].cameras == ""
-    )
-    assert [scene.id for scene in find_photo_folders(folder / "garden", views=3)] == [
-        "garden"
-    ]
+    first = scenes[0]
+    assert (first.inputs, first.held_back, first.cameras) == ((0, 2), (), "")
+    (alone,) = find_photo_folders(folder / "garden", views=3)
+    assert alone.id == "garden"
 
 
 @pytest.fixture
@@ -119,22 +107,10 @@ def posed(folder):
     for index, angle in enumerate((0, 6, 12)):
         turn = np.deg2rad(angle)
         c2w = np.eye(4)
-        c2w[:3, :3] = [
-            [np.cos(turn), 0, np.sin(turn)],
-            [0, 1, 0],
-            [-np.sin(turn), 0, np.cos(turn)],
-        ]
+        c2w[:3, :3] = Rotation.from_euler("y", turn).as_matrix()
         c2w[0, 3] = -np.sin(turn)
-        k = [[60, 0, 32], [0, 60, 24], [0, 0, 1]]
-        poses.append(
-            {
-                "file": f"{index}.png",
-                "width": 64,
-                "height": 48,
-                "K": k,
-                "c2w": c2w.tolist(),
-            }
-        )
+        about = {"file": f"{index}.png", "width": 64, "height": 48, "c2w": c2w.tolist()}
+        poses.append({**about, "K": [[60, 0, 32], [0, 60, 24], [0, 0, 1]]})
     (folder / "garden" / "cameras.json").write_text(json.dumps(poses))
     return folder
 
@@ -185,29 +161,17 @@ def test_an_object_counts_where_half_of_the_photos_show_it(shown_by, counts):
 )
 def test_near_duplicates_are_told_from_other_edits(first, second, alike):
     for prompts in ((first, second), (second, first)):
-        kept = without_near_duplicates(
-            [ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts]
-        )
-        assert [edit.prompt for edit in kept] == list(prompts[:1] if alike else prompts)
-
-
-def test_the_first_of_two_alike_stays():
-    prompts = ["Paint it red", "make it snow", "paint it red!"]
-    kept = without_near_duplicates(
-        [ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts]
-    )
-    assert [edit.prompt for edit in kept] == ["Paint it red", "make it snow"]
+        edits = [ProposedEdit(type="Modify", prompt=prompt) for prompt in prompts]
+        kept = [edit.prompt for edit in without_near_duplicates(edits)]
+        assert kept == list(prompts[:1] if alike else prompts)
 
 
 def test_templates_name_the_objects_and_cover_all_types():
     found = edits_from_templates(["cup", "bowl"], seed=0)
     assert {edit.type for edit in found} == {"Add", "Remove", "Modify", "Global"}
     assert all(edit.object in edit.prompt for edit in found)
-    assert (
-        edits_from_templates(["cup"], 0)
-        == edits_from_templates(["cup"], 0)
-        != edits_from_templates(["cup"], 1)
-    )
+    first, again, other = (edits_from_templates(["cup"], seed) for seed in (0, 0, 1))
+    assert first == again != other
 
 
 class FakeModel(BaseHTTPRequestHandler):
@@ -217,23 +181,12 @@ class FakeModel(BaseHTTPRequestHandler):
     requests: list = []  # noqa: RUF012
 
     def do_POST(self):
-        self.requests.append(
-            (
-                self.path,
-                json.loads(self.rfile.read(int(self.headers["Content-Length"]))),
-            )
-        )
+        asked = self.rfile.read(int(self.headers["Content-Length"]))
+        self.requests.append((self.path, json.loads(asked)))
         message = {"role": "assistant", "content": self.answer}
         choice = {"index": 0, "finish_reason": "stop", "message": message}
-        body = json.dumps(
-            {
-                "id": "1",
-                "object": "chat.completion",
-                "created": 0,
-                "model": "m",
-                "choices": [choice],
-            }
-        )
+        about = {"id": "1", "object": "chat.completion", "created": 0, "model": "m"}
+        body = json.dumps({**about, "choices": [choice]})
         self.send_response(200)
         self.send_header("Content-Type", "application/json")
         self.end_headers()
@@ -246,15 +199,9 @@ class FakeModel(BaseHTTPRequestHandler):
 @pytest.fixture
 def server(monkeypatch):
     pytest.importorskip("openai")
-    for name in (
-        "http_proxy",
-        "HTTP_PROXY",
-        "https_proxy",
-        "HTTPS_PROXY",
-        "all_proxy",
-        "ALL_PROXY",
-    ):
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
         monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
     served = HTTPServer(("127.0.0.1", 0), FakeModel)
     FakeModel.requests.clear()
     threading.Thread(target=served.serve_forever, daemon=True).start()
@@ -264,21 +211,11 @@ def server(monkeypatch):
 
 
 def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, server):
-    proposals = [
-        {
-            "type": "modify",
-            "prompt": "turn the  cup into gold",
-            "object": "cup",
-            "description": "a golden cup",
-        },
-        {
-            "type": "Remove",
-            "prompt": "remove the elephant",
-            "object": "elephant",
-        },  # not in the photos
-        {"type": "Rotate", "prompt": "rotate the cup", "object": "cup"},
-        "paint it",
-    ]
+    gold = {"type": "modify", "prompt": "turn the  cup into gold", "object": "cup"}
+    gold["description"] = "a golden cup"
+    unseen = {"type": "Remove", "prompt": "remove the elephant", "object": "elephant"}
+    unknown = {"type": "Rotate", "prompt": "rotate the cup", "object": "cup"}
+    proposals = [gold, unseen, unknown, "paint it"]
     FakeModel.answer = f"Sure! ```json\n{json.dumps(proposals)}```"
     build(folder, *detector, *server)
     edits = read_vetting(folder.parent / "bench.vetting.yaml")["garden"]
@@ -289,16 +226,10 @@ def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, se
     path, request = FakeModel.requests[0]
     text, *pictures = request["messages"][1]["content"]
     assert path == "/v1/chat/completions" and "cup" in text["text"]
-    shown = [
-        Image.open(
-            io.BytesIO(base64.b64decode(p["image_url"]["url"].partition(",")[2]))
-        )
-        for p in pictures
-    ]
-    photos = [
-        Image.open(folder / "garden" / f"{index}.png").convert("RGB")
-        for index in range(3)
-    ]
+    codes = [p["image_url"]["url"].partition(",")[2] for p in pictures]
+    shown = [Image.open(io.BytesIO(base64.b64decode(code))) for code in codes]
+    files = [folder / "garden" / f"{index}.png" for index in range(3)]
+    photos = [Image.open(file).convert("RGB") for file in files]
     assert [image.size for image in shown] == [photo.size for photo in photos]
     for mine, photo in zip(shown, photos):  # noise, of which JPEG keeps the coarse part
         coarse = [
@@ -310,20 +241,7 @@ def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, se
 
 def test_a_model_that_answers_nonsense_ends_in_one_sentence(folder, server, capsys):
     FakeModel.answer = "I would rather not."
-    assert (
-        main(
-            [
-                "bench",
-                "build",
-                str(folder),
-                "--out",
-                str(folder.parent / "b.json"),
-                *server,
-                "--quiet",
-            ]
-        )
-        == 1
-    )
+    assert build_of(folder, *server) == 1
     assert "no usable edit in its answer" in capsys.readouterr().err
 
 
@@ -336,63 +254,17 @@ def test_objects_are_looked_for_in_all_photos_and_masks_made_of_the_inputs(
     plugin.write_text(
         DETECTOR.replace("        height, width", look + "        height, width", 1)
     )
-    options = [
-        "--detector",
-        "middle",
-        "--plugin",
-        str(plugin),
-        "--labels",
-        "cup",
-        "--no-vetting",
-    ]
+    options = f"--detector middle --plugin {plugin} --labels cup --no-vetting".split()
     manifest = read_bench_manifest(build(folder, *options))
     assert len(set(seen.read_text().split("\n"))) - 1 == 6  # three photos of two scenes
     local = next(item for item in manifest.items if item.type == "Modify")
     assert len(local.masks) == len(local.inputs) == 2
 
 
-def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
-    out = folder.parent / "bench.json"
-    assert (
-        main(
-            [
-                "bench",
-                "build",
-                str(folder),
-                "--out",
-                str(out),
-                "--size",
-                "64",
-                "--labels",
-                "cup",
-                "--no-vetting",
-            ]
-        )
-        == 0
-    )
-    said = capsys.readouterr().out
-    for words in (
-        "2 scenes, the paper has 20",
-        "not found by a detector",
-        "templates",
-        "10 edits were not checked by a person",
-        "4 edits that add something have no masks",
-        "scenes are drawn without a balance of indoor and outdoor",
-    ):
-        assert f"unlike the paper: {words}" in said.replace(
-            "edits come from ", ""
-        ).replace("objects are named by hand, ", "")
-    assert (
-        len(
-            read_bench_manifest(
-                build(folder, "--labels", "cup", "--no-vetting", "--scenes", "1")
-            ).scenes
-        )
-        == 1
-    )
-    assert (
-        main(["bench", "build", str(folder), "--out", str(out), "--scenes", "20"]) == 2
-    )
+def test_as_many_scenes_are_drawn_as_are_asked_for(folder, capsys):
+    drawn = build(folder, "--labels", "cup", "--no-vetting", "--scenes", "1")
+    assert len(read_bench_manifest(drawn).scenes) == 1
+    assert build_of(folder, "--scenes", "20") == 2
     assert "holds 2 scenes, --scenes asks for 20" in capsys.readouterr().err
 
 
@@ -409,13 +281,7 @@ def edits(*verdicts):
 
 def test_kept_edits_stay_and_undecided_ones_fill_up_to_five_type_by_type():
     chosen = choose_edits("s", edits("keep", "", "drop", "", "keep", "", "", ""))
-    assert [edit.prompt for edit in chosen] == [
-        "edit 0",
-        "edit 4",
-        "edit 1",
-        "edit 6",
-        "edit 3",
-    ]
+    assert [edit.prompt for edit in chosen] == [f"edit {n}" for n in (0, 4, 1, 6, 3)]
 
 
 @pytest.mark.parametrize(
@@ -479,52 +345,35 @@ def test_a_photo_that_changed_since_is_noticed(folder, detector):
         load_item(manifest, manifest.items[0], out.parent, default_registry())
 
 
-def vetted(folder, *prompts):
+def vetted(folder):
+    """Build with the truth of an editor, of five edits; the exit code."""
+    local = ("make it black and white", "paint everything red", "paint everything blue")
+    kinds = {"Modify": local, "Global": ("make it warmer", "make it darker")}
     edits = [
-        {"verdict": "keep", "type": "Modify", "prompt": prompt} for prompt in prompts
-    ]
-    edits += [
-        {"verdict": "keep", "type": "Global", "prompt": f"make it {how}"}
-        for how in ("warmer", "darker")
+        {"verdict": "keep", "type": kind, "prompt": prompt}
+        for kind, prompts in kinds.items()
+        for prompt in prompts
     ]
     scenes = {scene: edits for scene in ("kitchen", "garden")}
-    (folder.parent / "b.vetting.yaml").write_text(yaml.safe_dump({"scenes": scenes}))
-    return [
-        "bench",
-        "build",
-        str(folder),
-        "--truth",
-        "recolor",
-        "--size",
-        "64",
-        "--quiet",
-        "--out",
-    ]
+    vetting = folder.parent / "bench.vetting.yaml"
+    vetting.write_text(yaml.safe_dump({"scenes": scenes}))
+    return build_of(folder, "--truth", "recolor")
 
 
 @pytest.mark.slow
 def test_what_an_editor_makes_of_all_photos_is_the_truth(folder):
-    command = vetted(
-        folder,
-        "make it black and white",
-        "paint everything red",
-        "paint everything blue",
-    )
-    assert main([*command, str(folder.parent / "b.json")]) == 0
-    manifest = read_bench_manifest(folder.parent / "b.json")
+    assert vetted(folder) == 0
+    manifest = read_bench_manifest(folder.parent / "bench.json")
     grey, red, _, warm, _ = (
         load_item(manifest, item, folder.parent, default_registry())
         for item in manifest.items[:5]
     )
-    assert (
-        grey.truth.shape == grey.photos.images[0].shape and len(grey.record.truth) == 2
-    )
+    assert grey.truth.shape == grey.photos.images[0].shape
+    assert len(grey.record.truth) == 2
     assert (grey.truth[:, 0] - grey.truth[:, 2]).abs().max() < 2 / 255
     assert red.masks.mean() > 0.9 and warm.masks is None
     (folder.parent / red.record.truth[0].file).write_bytes(b"changed")
-    with pytest.raises(
-        InputError, match="not the image that the manifest was built with"
-    ):
+    with pytest.raises(InputError, match="not the image that the manifest was built"):
         load_item(manifest, red.record, folder.parent, default_registry())
 
 
@@ -532,12 +381,6 @@ def test_an_edit_that_leaves_a_photo_as_it_was_is_no_truth(folder, capsys):
     for scene in ("kitchen", "garden"):  # what is grey already does not become greyer
         grey = Image.open(folder / scene / "2.png").convert("L").convert("RGB")
         grey.save(folder / scene / "2.png")
-    command = vetted(
-        folder,
-        "make it black and white",
-        "paint everything red",
-        "paint everything blue",
-    )
-    assert main([*command, str(folder.parent / "b.json")]) == 2
+    assert vetted(folder) == 2
     assert "left 2.png as it was; drop it" in capsys.readouterr().err
-    assert not (folder.parent / "b.json").exists()
+    assert not (folder.parent / "bench.json").exists()

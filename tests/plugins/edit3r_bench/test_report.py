@@ -135,14 +135,15 @@ def test_the_page_shows_the_reports_markdown(tmp_path):
 # ---- how sure it is ----
 
 
-def column(label, scenes, psnr, blur, missing=0):
-    """A method with one edit a scene; draws of `psnr` and `blur` about these means."""
+def column(label, scenes, psnr, outside, missing=0):
+    """A method with one edit a scene; draws of `psnr` and `change-outside` about these means."""
     rng = np.random.default_rng(scenes)
     results = {}
     for index in range(scenes):
-        metrics = {"psnr": psnr + rng.normal(), "blur": blur + 0.1 * rng.normal()}
+        metrics = {"psnr": psnr + rng.normal()}
+        metrics["change-outside"] = outside + 0.1 * rng.normal()
         if index < missing:
-            del metrics["blur"]
+            del metrics["change-outside"]
         name = f"s{index}-edit"
         results[name] = ItemResult(name, f"s{index}", "Modify", metrics)
     method = Method(label=label).model_dump(mode="json")
@@ -154,7 +155,7 @@ def test_every_row_says_of_how_many_scenes_and_few_have_no_interval():
     few = [column("a", 4, 20, 0.5), column("b", 4, 18, 0.5, missing=1)]
     table = main_table(few)
     assert "| psnr ↑ | 4 | 19.69 | 17.69 |" in table
-    assert "| blur ↓ | 3 to 4 |" in table
+    assert "| change-outside ↓ | 3 to 4 |" in table
     assert "(" not in table
     assert "| psnr ↑ | 5 | 20." in main_table([column("a", 5, 20, 0.5)])
     assert "(" in main_table([column("a", 5, 20, 0.5)])
@@ -164,7 +165,7 @@ def test_a_difference_is_called_better_only_where_it_outlasts_the_correction():
     first = column("a", 10, 20, 0.5)
     better = column("b", 10, 18, 0.2)
     better.results["s0-edit"].metrics["psnr"] += 0.5
-    better.results["s0-edit"].metrics["blur"] += 0.01
+    better.results["s0-edit"].metrics["change-outside"] += 0.01
     text = report_text([first, better])
     assert "| a - b |" in text
     assert " better |" in next(x for x in text.splitlines() if "+1.9" in x)
@@ -176,7 +177,7 @@ def test_a_difference_is_called_better_only_where_it_outlasts_the_correction():
         other = column(f"m{index}", 10, 20, 0.5)
         for result in other.results.values():
             result.metrics["psnr"] += rng.normal()
-            del result.metrics["blur"]
+            del result.metrics["change-outside"]
         equals.append(other)
     p_values = [mean_of(first, "psnr", minus=other).p_value for other in equals]
     assert min(p_values) < 0.05

@@ -221,14 +221,8 @@ def test_time_counts_all_that_a_run_does_between_photos_and_scene():
 def test_no_stage_of_a_real_run_is_left_out_of_the_time_by_its_name():
     report = Report()
     photos, cameras = packaged_pair()
-    edit3r.run(
-        photos,
-        "paint everything red",
-        cameras=cameras,
-        editor="recolor",
-        size=64,
-        report=report,
-    )
+    asked = {"cameras": cameras, "editor": "recolor", "size": 64, "report": report}
+    edit3r.run(photos, "paint everything red", **asked)
     names = {stage.name for stage in report.stages}
     counted = timing_of(report.stages, cold=True, views=2)
     outside = ("start", "read photos", "load components", "check")

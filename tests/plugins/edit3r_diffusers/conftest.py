@@ -16,6 +16,10 @@ if not (find_spec("diffusers") and find_spec("transformers")):
     pytest.skip("needs diffusers and transformers", allow_module_level=True)
 
 SIZE = 32  # pixels; a tiny VAE halves it once
+# Of every transformer, of every encoder of texts, and of a VAE that brings its own convolutions.
+BLOCKS = {"num_layers": 1, "attention_head_dim": 16, "num_attention_heads": 2}
+TEXTS = {"hidden_size": 16, "intermediate_size": 16}
+BARE = {"use_quant_conv": False, "use_post_quant_conv": False}
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -64,13 +68,10 @@ class TinyModels:
         from diffusers import ControlNetModel, UNet2DConditionModel
 
         def make():
-            unet = UNet2DConditionModel.from_pretrained(
-                self.stable_diffusion(), subfolder="unet"
-            )
+            model, out = self.stable_diffusion(), (16, 32)
+            unet = UNet2DConditionModel.from_pretrained(model, subfolder="unet")
             net = ControlNetModel.from_unet(
-                unet,
-                conditioning_channels=3,
-                conditioning_embedding_out_channels=(16, 32),
+                unet, conditioning_channels=3, conditioning_embedding_out_channels=out
             )
             zero = [p for p in net.parameters() if not p.any() and p.ndim == 4]
             assert zero
@@ -97,21 +98,14 @@ class TinyModels:
 
         parts = {
             "transformer": lambda: QwenImageTransformer2DModel(
-                patch_size=2,
-                in_channels=16,
-                out_channels=4,
-                num_layers=1,
-                attention_head_dim=16,
-                num_attention_heads=2,
+                **{"patch_size": 2, "in_channels": 16, "out_channels": 4} | BLOCKS,
                 joint_attention_dim=16,
                 guidance_embeds=False,
                 axes_dims_rope=(8, 4, 4),
             ),
             "vae": lambda: AutoencoderKLQwenImage(
-                base_dim=8,
-                z_dim=4,
+                **{"base_dim": 8, "z_dim": 4, "num_res_blocks": 1},
                 dim_mult=[1, 2, 4],
-                num_res_blocks=1,
                 temperal_downsample=[False, True],
                 latents_mean=[0.0] * 4,
                 latents_std=[1.0] * 4,
@@ -137,26 +131,18 @@ class TinyModels:
 
         parts = {
             "transformer": lambda: LongCatImageTransformer2DModel(
-                in_channels=64,
-                num_layers=1,
-                num_single_layers=1,
-                attention_head_dim=16,
-                num_attention_heads=2,
+                **{"in_channels": 64, "num_single_layers": 1} | BLOCKS,
                 joint_attention_dim=16,
                 pooled_projection_dim=16,
                 axes_dims_rope=[4, 4, 8],
             ),
-            "vae": lambda: AutoencoderKL(
-                block_out_channels=(8,) * 4,
-                down_block_types=("DownEncoderBlock2D",) * 4,
-                up_block_types=("UpDecoderBlock2D",) * 4,
-                norm_num_groups=8,
+            "vae": lambda: self.vae(
+                AutoencoderKL,
+                channels=(8,) * 4,
                 latent_channels=16,
-                layers_per_block=1,
                 shift_factor=0.1,
-                use_quant_conv=False,
-                use_post_quant_conv=False,
                 mid_block_add_attention=False,
+                **BARE,
             ),
             "scheduler": FlowMatchEulerDiscreteScheduler,
             "text_encoder": self.qwen_vl,
@@ -176,34 +162,20 @@ class TinyModels:
         from transformers import Qwen3Config, Qwen3ForCausalLM
 
         text = Qwen3Config(
-            intermediate_size=16,
-            hidden_size=16,
+            **{"num_attention_heads": 2, "num_key_value_heads": 2, "head_dim": 8},
             num_hidden_layers=28,  # three of which, up to number 27, are read
-            num_attention_heads=2,
-            num_key_value_heads=2,
-            head_dim=8,
-            vocab_size=300,
-            max_position_embeddings=512,
+            **{"vocab_size": 300, "max_position_embeddings": 512} | TEXTS,
         )
         parts = {
             "transformer": lambda: Flux2Transformer2DModel(
-                patch_size=1,
-                in_channels=16,
-                num_layers=1,
-                num_single_layers=1,
-                attention_head_dim=16,
-                num_attention_heads=2,
+                **{"patch_size": 1, "in_channels": 16, "num_single_layers": 1},
+                **BLOCKS,
                 joint_attention_dim=48,
                 timestep_guidance_channels=32,
                 axes_dims_rope=[4, 4, 4, 4],
                 guidance_embeds=False,
             ),
-            "vae": lambda: self.vae(
-                AutoencoderKLFlux2,
-                latent_channels=4,
-                use_quant_conv=False,
-                use_post_quant_conv=False,
-            ),
+            "vae": lambda: self.vae(AutoencoderKLFlux2, **BARE),
             "scheduler": FlowMatchEulerDiscreteScheduler,
             "text_encoder": lambda: Qwen3ForCausalLM(text).eval(),
             "tokenizer": self.qwen_tokenizer,
@@ -215,31 +187,14 @@ class TinyModels:
     def qwen_vl(self):
         from transformers import Qwen2_5_VLConfig, Qwen2_5_VLForConditionalGeneration
 
+        rope = {"mrope_section": [1, 1, 2], "rope_type": "default", "rope_theta": 1e4}
+        heads = {"num_attention_heads": 2, "num_key_value_heads": 2}
+        text = {"num_hidden_layers": 1, "vocab_size": 300, "rope_parameters": rope}
+        tokens = ("vision_start", "vision_end", "image", "video")
         config = Qwen2_5_VLConfig(
-            text_config={
-                "hidden_size": 16,
-                "intermediate_size": 16,
-                "num_hidden_layers": 1,
-                "num_attention_heads": 2,
-                "num_key_value_heads": 2,
-                "vocab_size": 300,
-                "rope_parameters": {
-                    "mrope_section": [1, 1, 2],
-                    "rope_type": "default",
-                    "rope_theta": 10000.0,
-                },
-            },
-            vision_config={
-                "depth": 1,
-                "hidden_size": 16,
-                "intermediate_size": 16,
-                "num_heads": 2,
-                "out_hidden_size": 16,
-            },
-            vision_start_token_id=259,
-            vision_end_token_id=260,
-            image_token_id=261,
-            video_token_id=262,
+            text_config=TEXTS | heads | text,
+            vision_config=TEXTS | {"depth": 1, "num_heads": 2, "out_hidden_size": 16},
+            **{f"{name}_token_id": 259 + index for index, name in enumerate(tokens)},
         )
         return Qwen2_5_VLForConditionalGeneration(config).eval()
 
@@ -248,22 +203,10 @@ class TinyModels:
         from transformers import Qwen2Tokenizer
         from transformers.convert_slow_tokenizer import bytes_to_unicode
 
-        folder = self.root / "qwen-vocabulary"
-        folder.mkdir(exist_ok=True)
-        letters = bytes_to_unicode().values()
-        (folder / "vocab.json").write_text(
-            json.dumps({letter: index for index, letter in enumerate(letters)})
-        )
-        (folder / "merges.txt").write_text("#version: 0.2\n")
-        names = (
-            "im_start",
-            "im_end",
-            "vision_start",
-            "vision_end",
-            "image_pad",
-            "video_pad",
-        )
-        special = [f"<|{name}|>" for name in names]
+        folder = self._vocabulary("qwen", bytes_to_unicode().values())
+        special = [f"<|im_{name}|>" for name in ("start", "end")]
+        special += [f"<|vision_{name}|>" for name in ("start", "end")]
+        special += [f"<|{name}_pad|>" for name in ("image", "video")]
         tokenizer = Qwen2Tokenizer.from_pretrained(
             folder, additional_special_tokens=special
         )
@@ -273,6 +216,15 @@ class TinyModels:
             "<|im_start|>assistant\n"
         )
         return tokenizer
+
+    def _vocabulary(self, name: str, words) -> Path:
+        """A folder with these words and no pairs of them."""
+        folder = self.root / f"{name}-vocabulary"
+        folder.mkdir(exist_ok=True)
+        numbered = {word: index for index, word in enumerate(words)}
+        (folder / "vocab.json").write_text(json.dumps(numbered))
+        (folder / "merges.txt").write_text("#version: 0.2\n")
+        return folder
 
     def qwen_pictures(self):
         from transformers import Qwen2VLImageProcessor
@@ -290,11 +242,9 @@ class TinyModels:
             for part, make in parts.items():
                 made = make()
                 made.save_pretrained(folder / part)
-                library = type(made).__module__.partition(".")[0]
-                index[part] = [
-                    library,
-                    "Qwen2VLProcessor" if "processor" in part else type(made).__name__,
-                ]
+                library, kind = type(made).__module__.partition(".")[0], type(made)
+                reads = "Qwen2VLProcessor" if "processor" in part else kind.__name__
+                index[part] = [library, reads]
             (folder / "model_index.json").write_text(json.dumps(index))
         return folder
 
@@ -324,17 +274,14 @@ class TinyModels:
             norm_num_groups=8,
         )
         scheduler = DDIMScheduler(
-            beta_start=0.00085,
-            beta_end=0.012,
+            **{"beta_start": 0.00085, "beta_end": 0.012},
             beta_schedule="scaled_linear",
-            clip_sample=False,
-            set_alpha_to_one=False,
-            steps_offset=1,
+            **{"clip_sample": False, "set_alpha_to_one": False, "steps_offset": 1},
         )
         return {
             "unet": unet,
             "scheduler": scheduler,
-            "vae": self.vae(AutoencoderKL, latent_channels=4),
+            "vae": self.vae(AutoencoderKL),
             "text_encoder": self.clip_text(),
             "tokenizer": self.clip_tokenizer(),
             "safety_checker": None,
@@ -351,11 +298,7 @@ class TinyModels:
         from transformers import T5Config, T5EncoderModel
 
         transformer = FluxTransformer2DModel(
-            in_channels=16,
-            num_layers=1,
-            num_single_layers=1,
-            attention_head_dim=16,
-            num_attention_heads=2,
+            **{"in_channels": 16, "num_single_layers": 1} | BLOCKS,
             joint_attention_dim=32,
             pooled_projection_dim=32,
             axes_dims_rope=(4, 4, 8),
@@ -367,24 +310,19 @@ class TinyModels:
         return {
             "transformer": transformer,
             "scheduler": FlowMatchEulerDiscreteScheduler(),
-            "vae": self.vae(
-                AutoencoderKL,
-                latent_channels=4,
-                shift_factor=0.1,
-                use_quant_conv=False,
-                use_post_quant_conv=False,
-            ),
+            "vae": self.vae(AutoencoderKL, shift_factor=0.1, **BARE),
             "text_encoder": self.clip_text(),
             "tokenizer": self.clip_tokenizer(),
             "text_encoder_2": T5EncoderModel(t5).eval(),
             "tokenizer_2": self.t5_tokenizer(),
         }
 
-    def vae(self, cls, **given):
+    def vae(self, cls, channels=(32, 64), latent_channels=4, **given):
         return cls(
-            block_out_channels=(32, 64),
-            down_block_types=("DownEncoderBlock2D",) * 2,
-            up_block_types=("UpDecoderBlock2D",) * 2,
+            block_out_channels=channels,
+            down_block_types=("DownEncoderBlock2D",) * len(channels),
+            up_block_types=("UpDecoderBlock2D",) * len(channels),
+            latent_channels=latent_channels,
             norm_num_groups=8,
             sample_size=SIZE,
             **given,
@@ -394,14 +332,9 @@ class TinyModels:
         from transformers import CLIPTextConfig, CLIPTextModel
 
         config = CLIPTextConfig(
-            vocab_size=514,
-            hidden_size=32,
-            intermediate_size=37,
-            num_hidden_layers=2,
-            num_attention_heads=4,
-            bos_token_id=512,
-            eos_token_id=513,
-            pad_token_id=513,
+            **{"vocab_size": 514, "hidden_size": 32, "intermediate_size": 37},
+            **{"num_hidden_layers": 2, "num_attention_heads": 4},
+            **{"bos_token_id": 512, "eos_token_id": 513, "pad_token_id": 513},
         )
         return CLIPTextModel(config).eval()
 
@@ -411,18 +344,8 @@ class TinyModels:
         from transformers.convert_slow_tokenizer import bytes_to_unicode
 
         letters = list(bytes_to_unicode().values())
-        words = [
-            *letters,
-            *(letter + "</w>" for letter in letters),
-            "<|startoftext|>",
-            "<|endoftext|>",
-        ]
-        folder = self.root / "clip-vocabulary"
-        folder.mkdir(exist_ok=True)
-        (folder / "vocab.json").write_text(
-            json.dumps({word: index for index, word in enumerate(words)})
-        )
-        (folder / "merges.txt").write_text("#version: 0.2\n")
+        words = [*letters, *(letter + "</w>" for letter in letters)]
+        folder = self._vocabulary("clip", [*words, "<|startoftext|>", "<|endoftext|>"])
         return CLIPTokenizer.from_pretrained(folder, model_max_length=77)
 
     def t5_tokenizer(self):
@@ -430,39 +353,26 @@ class TinyModels:
         from transformers import T5TokenizerFast
 
         pieces = ["<pad>", "</s>", "<unk>", "▁", *map(chr, range(33, 127))]
-        core = Tokenizer(
-            models.Unigram(
-                [(piece, -float(i)) for i, piece in enumerate(pieces)], unk_id=2
-            )
-        )
+        scores = [(piece, -float(i)) for i, piece in enumerate(pieces)]
+        core = Tokenizer(models.Unigram(scores, unk_id=2))
         core.pre_tokenizer = pre_tokenizers.Metaspace()
         core.decoder = decoders.Metaspace()
         core.post_processor = processors.TemplateProcessing(
             single="$A </s>", special_tokens=[("</s>", 1)]
         )
-        return T5TokenizerFast(
-            tokenizer_object=core,
-            eos_token="</s>",
-            unk_token="<unk>",
-            pad_token="<pad>",
-            extra_ids=0,
-        )
+        special = {"eos_token": "</s>", "unk_token": "<unk>", "pad_token": "<pad>"}
+        return T5TokenizerFast(tokenizer_object=core, extra_ids=0, **special)
 
 
 @pytest.fixture(scope="session")
 def two_views() -> edit3r.Views:
     """Two smooth pictures that differ."""
-    y, x = torch.meshgrid(
-        torch.linspace(0, 1, SIZE), torch.linspace(0, 1, SIZE), indexing="ij"
-    )
+    y, x = torch.meshgrid(2 * [torch.linspace(0, 1, SIZE)], indexing="ij")
     first = torch.stack((x, y, 0.5 * (x + y)))
     second = torch.stack((y, 1 - x, x * y))
-    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(
-        1, 2, 3, 3
-    )
-    return edit3r.Views(
-        torch.stack((first, second))[None], intrinsics, ("left.png", "right.png")
-    )
+    lens = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    both = torch.stack((first, second))[None]
+    return edit3r.Views(both, lens, ("left.png", "right.png"))
 
 
 @pytest.fixture(scope="session")

@@ -23,29 +23,21 @@ class SlopeMatcher(Matcher):
     def match(self, views):
         batch, count = views.images.shape[:2]
         height, width = views.image_size
-        depths = torch.linspace(self.near, self.far, width).expand(
-            batch, count, height, width
-        )
-        pose = torch.eye(4).expand(batch, count, 4, 4)
-        return Geometry(
-            pose,
-            depths,
-            torch.ones_like(depths),
-            torch.ones(batch, count, dtype=torch.bool),
-        )
+        slope = torch.linspace(self.near, self.far, width)
+        depths = slope.expand(batch, count, height, width)
+        pose, placed = torch.eye(4).expand(batch, count, 4, 4), torch.ones(batch, count)
+        return Geometry(pose, depths, torch.ones_like(depths), placed > 0)
 
 
 @pytest.fixture(scope="module")
 def build(tiny):
+    models = {"model": tiny.stable_diffusion(), "controlnet": tiny.controlnet()}
+    usual = {name: str(folder) for name, folder in models.items()}
+    usual |= {"steps": 2, "resolution": 0, "local_files_only": True}
+
     def build(matcher=None, **settings):
-        return edit3r.build(
-            "editor",
-            "controlnet-depth",
-            parts={"matcher": matcher or SlopeMatcher()},
-            model=str(tiny.stable_diffusion()),
-            controlnet=str(tiny.controlnet()),
-            **{"steps": 2, "resolution": 0, "local_files_only": True, **settings},
-        )
+        parts = {"matcher": matcher or SlopeMatcher()}
+        return edit3r.build("editor", "controlnet-depth", parts, **usual | settings)
 
     return build
 
@@ -56,33 +48,20 @@ def edited(build, two_views):
 
 
 def test_prompt_and_every_setting_change_the_result(build, edited, two_views):
-    assert not torch.equal(
-        build().edit(two_views, replace(ASK, prompt="snow")).images, edited
-    )
-    settings = [
-        {"guidance": 3.0},
-        {"negative_prompt": "blurry"},
-        {"source_prompt": "a bike"},
-        {"strength": 0.5},
-    ]
-    settings += [
-        {"invert": False},
-        {"eta": 0.5},
-        {"cross_view": 0.0},
-        {"references": 1},
-        {"control_scale": 0.0},
-    ]
-    for change in settings:
-        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), (
-            change
-        )
+    snow = build().edit(two_views, replace(ASK, prompt="snow")).images
+    assert not torch.equal(snow, edited)
+    changes = {"guidance": 3.0, "negative_prompt": "blurry", "source_prompt": "a bike"}
+    changes |= {"strength": 0.5, "invert": False, "eta": 0.5, "cross_view": 0.0}
+    changes |= {"references": 1, "control_scale": 0.0}
+    for name, value in changes.items():
+        other = build(**{name: value}).edit(two_views, ASK).images
+        assert not torch.equal(other, edited), name
 
 
 def test_depth_changes_the_result_only_through_the_controlnet(build, edited, two_views):
     other = SlopeMatcher(near=4.0, far=1.0)
-    assert not torch.allclose(
-        build(other).edit(two_views, ASK).images, edited, atol=1e-3
-    )
+    turned = build(other).edit(two_views, ASK).images
+    assert not torch.allclose(turned, edited, atol=1e-3)
     without = [
         build(matcher, control_scale=0.0).edit(two_views, ASK).images
         for matcher in (other, SlopeMatcher())
@@ -119,10 +98,8 @@ def test_a_mask_confines_the_edit_along_the_inverted_latents(
 
 
 def test_two_scenes_are_edited_apart(build, two_views):
-    both = edit3r.Views(
-        torch.cat((two_views.images, two_views.images.flip(-1))),
-        two_views.intrinsics.expand(2, -1, -1, -1),
-    )
+    images = torch.cat((two_views.images, two_views.images.flip(-1)))
+    both = edit3r.Views(images, two_views.intrinsics.expand(2, -1, -1, -1))
     images = build().edit(both, ASK).images
     assert torch.allclose(images[:1], build().edit(two_views, ASK).images, atol=1e-5)
 

@@ -13,13 +13,9 @@ ASK = edit3r.EditRequest("paint it red", seed=3)
 
 @pytest.fixture(scope="module")
 def build(tiny):
-    def build(**settings):
-        settings = {"steps": 2, "resolution": 0, "local_files_only": True, **settings}
-        return edit3r.build(
-            "editor", "flux-kontext", model=str(tiny.flux_kontext()), **settings
-        )
-
-    return build
+    usual = {"model": str(tiny.flux_kontext()), "local_files_only": True}
+    usual |= {"steps": 2, "resolution": 0}
+    return lambda **given: edit3r.build("editor", "flux-kontext", **usual | given)
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +26,12 @@ def edited(build, two_views):
 def test_without_masks_it_is_the_plain_kontext_pipeline(tiny, edited, two_views):
     from diffusers import FluxKontextPipeline
 
-    pipeline = FluxKontextPipeline.from_pretrained(
-        tiny.flux_kontext(), local_files_only=True
-    )
+    model = tiny.flux_kontext()
+    pipeline = FluxKontextPipeline.from_pretrained(model, local_files_only=True)
     plain = pipeline(
         image=two_views.images[0, :1],
         prompt=ASK.prompt,
-        height=32,
-        width=32,
-        max_area=1024,
-        _auto_resize=False,
+        **{"height": 32, "width": 32, "max_area": 1024, "_auto_resize": False},
         num_inference_steps=2,
         guidance_scale=2.5,
         generator=torch.Generator().manual_seed(3),
@@ -49,17 +41,13 @@ def test_without_masks_it_is_the_plain_kontext_pipeline(tiny, edited, two_views)
 
 
 @pytest.mark.slow
-def test_prompt_guidance_strength_and_negative_prompt_change_the_result(
+def test_guidance_strength_and_negative_prompt_change_the_result(
     build, edited, two_views
 ):
-    assert not torch.equal(
-        build().edit(two_views, replace(ASK, prompt="make it snow")).images, edited
-    )
     negative = {"negative_prompt": "blurry", "true_guidance": 3.0}
     for change in ({"guidance": 7.0}, {"strength": 0.5}, negative):
-        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), (
-            change
-        )
+        other = build(**change).edit(two_views, ASK).images
+        assert not torch.equal(other, edited), change
 
 
 def test_a_mask_confines_the_edit_through_the_inpaint_form(build, two_views, left_half):

@@ -16,13 +16,9 @@ ASK = edit3r.EditRequest("paint it red", seed=3)
 
 @pytest.fixture(scope="module")
 def build(tiny):
-    def build(**settings):
-        settings = {"steps": 2, "resolution": 0, "local_files_only": True, **settings}
-        return edit3r.build(
-            "editor", "instruct-pix2pix", model=str(tiny.instruct_pix2pix()), **settings
-        )
-
-    return build
+    usual = {"model": str(tiny.instruct_pix2pix()), "local_files_only": True}
+    usual |= {"steps": 2, "resolution": 0}
+    return lambda **given: edit3r.build("editor", "instruct-pix2pix", **usual | given)
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +36,12 @@ def test_two_equal_views_get_the_same_edit(build, two_views):
 def test_prompt_guidance_and_negative_prompt_change_the_result(
     build, edited, two_views
 ):
-    assert not torch.equal(
-        build().edit(two_views, replace(ASK, prompt="make it snow")).images, edited
-    )
-    for change in (
-        {"guidance": 3.0},
-        {"image_guidance": 3.0},
-        {"negative_prompt": "blurry"},
-        {"steps": 3},
-    ):
-        assert not torch.equal(build(**change).edit(two_views, ASK).images, edited), (
-            change
-        )
+    snow = build().edit(two_views, replace(ASK, prompt="make it snow")).images
+    assert not torch.equal(snow, edited)
+    changes = {"guidance": 3.0, "image_guidance": 3.0, "negative_prompt": "blurry"}
+    for name, value in (changes | {"steps": 3}).items():
+        other = build(**{name: value}).edit(two_views, ASK).images
+        assert not torch.equal(other, edited), name
 
 
 def test_a_mask_confines_the_edit_already_before_the_composite(
@@ -70,12 +60,8 @@ def test_steps_are_reported_as_progress_and_weights_noted(build, two_views):
     report = Report(on_event=lambda *event: events.append(event))
     with collecting(report):
         build().edit(two_views, ASK)
-    assert ("progress", "editing left.png", 1, 2) in events and (
-        "progress",
-        "editing right.png",
-        2,
-        2,
-    ) in events
+    assert ("progress", "editing left.png", 1, 2) in events
+    assert ("progress", "editing right.png", 2, 2) in events
     assert report.notes["editor.weights"]["model"].endswith("instruct-pix2pix")
 
 

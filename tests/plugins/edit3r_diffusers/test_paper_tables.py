@@ -19,15 +19,8 @@ def manifest(tmp_path_factory):
     """One scene of three posed photos, and its five edits."""
     folder = tmp_path_factory.mktemp("scenes") / "room"
     folder.mkdir()
-    sample = build(
-        "dataset",
-        "procedural",
-        image_size=SIDE,
-        context=3,
-        targets=0,
-        angles=(4, 5),
-        seed=5,
-    )[0]
+    drawn = {"image_size": SIDE, "context": 3, "targets": 0, "angles": (4, 5)}
+    sample = build("dataset", "procedural", **drawn, seed=5)[0]
     cameras = []
     for index, image in enumerate(sample.context):
         Image.fromarray((image.permute(1, 2, 0).numpy() * 255).astype(np.uint8)).save(
@@ -38,17 +31,8 @@ def manifest(tmp_path_factory):
         cameras.append({"file": f"{index}.png", "width": SIDE, "height": SIDE, **pose})
     (folder / "cameras.json").write_text(json.dumps(cameras))
     out = folder.parent / "bench.json"
-    options = [
-        "--labels",
-        "wall",
-        "--no-vetting",
-        "--size",
-        str(SIDE),
-        "--out",
-        str(out),
-        "--quiet",
-    ]
-    assert main(["bench", "build", str(folder.parent), *options]) == 0
+    options = f"--labels wall --no-vetting --size {SIDE} --out {out} --quiet"
+    assert main(f"bench build {folder.parent} {options}".split()) == 0
     return out
 
 
@@ -97,22 +81,7 @@ def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
         edit3r=[*ip2p, *small],
         edit3r_small=[*ip2p, *small],
     )
-    run = [
-        "bench",
-        "run",
-        str(manifest),
-        "--config",
-        "bench/main",
-        "--edits",
-        "1",
-        "--no-effnet",
-        "--quiet",
-    ]
-    assert main([*run, *changes, "--out", str(tmp_path / "out")]) == 0
-    assert list(columns(tmp_path / "out")) == [
-        "gaussctrl",
-        "editsplat",
-        "noposplat",
-        "edit3r",
-        "edit3r-small",
-    ]
+    run = f"bench run {manifest} --config bench/main --edits 1 --no-effnet --quiet"
+    assert main([*run.split(), *changes, "--out", str(tmp_path / "out")]) == 0
+    methods = ["gaussctrl", "editsplat", "noposplat", "edit3r", "edit3r-small"]
+    assert list(columns(tmp_path / "out")) == methods

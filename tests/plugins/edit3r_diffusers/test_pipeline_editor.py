@@ -32,11 +32,9 @@ def test_each_preset_edits_by_its_prompt(build, two_views, name):
         editor.edit(two_views, replace(ASK, prompt=prompt)).images
         for prompt in ("red", "snow")
     )
-    assert (
-        edited.shape == two_views.images.shape
-        and torch.isfinite(edited).all()
-        and not torch.equal(other, edited)
-    )
+    assert edited.shape == two_views.images.shape
+    assert torch.isfinite(edited).all()
+    assert not torch.equal(other, edited)
 
 
 def test_equal_views_get_equal_edits(build, two_views):
@@ -53,28 +51,23 @@ def test_a_mask_goes_to_the_class_for_masks_made_of_the_same_parts(
     images = editor.edit(two_views, masked).images
     other = editor.edit(two_views, replace(masked, seed=4)).images
     assert type(editor._masked).__name__ == "Flux2KleinInpaintPipeline"
-    assert (
-        editor._masked.transformer is editor._plain.transformer
-        and editor._masked.config.is_distilled
-    )
+    assert editor._masked.transformer is editor._plain.transformer
+    assert editor._masked.config.is_distilled
     outside = (images - other).abs()[..., -8:].mean()
     assert outside < 0.3 * (images - other).abs()[..., :8].mean()
 
 
 def test_any_class_is_driven_by_its_name_and_the_arguments_of_its_call(tiny, two_views):
-    given = {
-        "model": str(tiny.instruct_pix2pix()),
-        "steps": 2,
-        "resolution": 0,
-        "local_files_only": True,
-    }
-    given["pipeline"] = "StableDiffusionInstructPix2PixPipeline"
-    plain = edit3r.build("editor", "diffusers", **given).edit(two_views, ASK).images
-    closer = edit3r.build(
-        "editor", "diffusers", **given, arguments={"image_guidance_scale": 3.0}
+    given = {"model": str(tiny.instruct_pix2pix()), "steps": 2, "resolution": 0}
+    given |= {"pipeline": "StableDiffusionInstructPix2PixPipeline"}
+    plain, closer = (
+        edit3r.build("editor", "diffusers", **given, **more).edit(two_views, ASK).images
+        for more in ({}, {"arguments": {"image_guidance_scale": 3.0}})
     )
-    assert plain.shape == two_views.images.shape
-    assert not torch.equal(closer.edit(two_views, ASK).images, plain)
+    assert plain.shape == two_views.images.shape and not torch.equal(closer, plain)
+
+
+MODEL = {"model": "a/b"}
 
 
 @pytest.mark.parametrize(
@@ -82,20 +75,13 @@ def test_any_class_is_driven_by_its_name_and_the_arguments_of_its_call(tiny, two
     [
         ({}, "needs a pipeline; give one with --set editor.pipeline=ClassName"),
         ({"pipeline": "LongCatImageEditPipeline"}, "needs a model"),
+        ({"pipeline": "FluxPipeline"} | MODEL, "does not take an image and a prompt"),
         (
-            {"pipeline": "FluxPipeline", "model": "a/b"},
-            "does not take an image and a prompt",
-        ),
-        (
-            {"pipeline": "LongCatImageEditPipeline", "model": "a/b", "strength": 0.5},
+            {"pipeline": "LongCatImageEditPipeline", "strength": 0.5} | MODEL,
             r"editor\.strength: LongCatImageEditPipeline has no argument strength.*guidance_scale",
         ),
         (
-            {
-                "pipeline": "Flux2KleinPipeline",
-                "model": "a/b",
-                "arguments": {"height": 64, "zoom": 1},
-            },
+            {"pipeline": "Flux2KleinPipeline", "arguments": {"zoom": 1}} | MODEL,
             r"editor\.arguments\.zoom: Flux2KleinPipeline has no argument zoom",
         ),
     ],
@@ -108,10 +94,8 @@ def test_what_a_class_lacks_is_told_before_anything_is_loaded(
 
 
 def test_what_a_class_refuses_is_a_sentence(build, two_views):
-    with pytest.raises(
-        RunError,
-        match=r"editing left\.png: Flux2KleinPipeline refused: Image too small",
-    ):
+    said = r"editing left\.png: Flux2KleinPipeline refused: Image too small"
+    with pytest.raises(RunError, match=said):
         build("flux2-klein", resolution=32).edit(two_views, ASK)
 
 

@@ -53,11 +53,8 @@ def texture(seed: int) -> np.ndarray:
 
 def rectangles(seed: int) -> list[Rectangle]:
     shapes = [
-        (
-            (-5, -3, 4.5),
-            (10, 0, 1.0),
-            (0, 4.2, 0),
-        ),  # back wall, leaning away to the right
+        # back wall, leaning away to the right
+        ((-5, -3, 4.5), (10, 0, 1.0), (0, 4.2, 0)),
         ((-5, 1.2, 1.0), (10, 0, 0), (0, 0, 5.0)),  # floor
         ((-0.6, -0.3, 2.6), (1.1, 0, 0.2), (0, 1.5, 0)),  # front of the box
     ]
@@ -95,19 +92,12 @@ def cast(c2w, intrinsics, size, shift, seed) -> tuple[np.ndarray, np.ndarray]:
         depth = ((shape.corner - origin) @ normal) / (directions @ normal)
         local = origin + directions * depth[..., None] - shape.corner
         u, v = (local @ axis / (axis @ axis) for axis in (shape.right, shape.down))
-        hit = (
-            (depth > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (depth < nearest)
-        )
-        seen = cv2.remap(
-            shape.texture,
-            (u * 511).astype(np.float32),
-            (v * 511).astype(np.float32),
-            cv2.INTER_LINEAR,
-        )
-        nearest, colours = (
-            np.where(hit, depth, nearest),
-            np.where(hit[..., None], seen, colours),
-        )
+        hit = (depth > 0) & (depth < nearest)
+        hit &= (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+        places = ((511 * x).astype(np.float32) for x in (u, v))
+        seen = cv2.remap(shape.texture, *places, cv2.INTER_LINEAR)
+        nearest = np.where(hit, depth, nearest)
+        colours = np.where(hit[..., None], seen, colours)
     return colours, nearest
 
 
@@ -129,22 +119,12 @@ def make_room() -> Callable[..., Room]:
         intrinsics = np.array(
             [[[f, 0, 0.5], [0, f * width / height, 0.5], [0, 0, 1]] for f in focals]
         )
-        seen = [
-            picture(c2w, matrix, size, seed) for c2w, matrix in zip(cameras, intrinsics)
-        ]
-        images = (
-            torch.from_numpy(np.stack([image for image, _ in seen]))
-            .permute(0, 3, 1, 2)
-            .float()
-        )
-        views = Views(
-            images[None].contiguous(), torch.from_numpy(intrinsics).float()[None]
-        )
-        return Room(
-            views,
-            np.linalg.inv(cameras[0]) @ np.stack(cameras),
-            np.stack([depth for _, depth in seen]),
-        )
+        seen = [picture(*one, size, seed) for one in zip(cameras, intrinsics)]
+        images, depths = (np.stack(parts) for parts in zip(*seen))
+        images = torch.from_numpy(images).permute(0, 3, 1, 2).float()[None]
+        lenses = torch.from_numpy(intrinsics).float()[None]
+        c2w = np.linalg.inv(cameras[0]) @ np.stack(cameras)
+        return Room(Views(images.contiguous(), lenses), c2w, depths)
 
     return make
 

@@ -12,6 +12,7 @@ from edit3r_geometry.matchers import ClassicalMatcher
 from edit3r_geometry.relative_pose import Matches
 
 SIDE = 256
+TURNING = (0.05, 0.35, 0.02), (-1, 0.1, 0.3)  # how a camera turns and moves
 
 
 def lens(fov):
@@ -29,9 +30,7 @@ def matches(fov, turn, shift, noise=0.2, outliers=0.3, count=400):
     points = rays_through(first, lens(fov)) * depth[:, None]
     moved = points @ cv2.Rodrigues(np.array(turn, float))[0].T + np.array(shift, float)
     second = (moved @ lens(fov).T)[:, :2] / moved[:, 2:]
-    first, second = (
-        places + random.normal(0, noise, places.shape) for places in (first, second)
-    )
+    first, second = (x + random.normal(0, noise, x.shape) for x in (first, second))
     thrown = random.random(count) < outliers
     second[thrown] = random.uniform(0, SIDE, (thrown.sum(), 2))
     rays = (rays_through(places, lens(60)) for places in (first, second))
@@ -65,7 +64,7 @@ def test_a_motion_that_every_quick_estimate_misses_is_found(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("fov", [24, 35, 60, 90, 113])
 def test_the_field_of_view_is_read_from_a_camera_that_turns_and_moves(fov):
-    found = read(matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)))
+    found = read(matches(fov, *TURNING))
     assert found == pytest.approx(fov, abs=4)
 
 
@@ -76,14 +75,14 @@ def test_a_camera_that_only_moved_sideways_has_a_usual_lens_and_is_unsure(fov):
     told = reading(matches(fov, (0, 0, 0), (-1, 0, 0)))
     assert told.fov == pytest.approx(USUAL_FOV, abs=8)
     assert told.alike[0] < 40 and told.alike[1] > 80
-    assert reading(matches(60, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))).alike is None
+    assert reading(matches(60, *TURNING)).alike is None
 
 
 @pytest.mark.slow
 def test_the_pairs_that_tell_are_asked_and_not_those_with_most_matches():
     still = matches(113, (0, 0.02, 0), (-0.01, 0, 0), count=900, outliers=0)
     pairs = {(0, view): still for view in range(1, 6)}
-    pairs[1, 2] = matches(113, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))
+    pairs[1, 2] = matches(113, *TURNING)
     assert read(pairs) == pytest.approx(113, abs=6)
 
 
@@ -103,31 +102,23 @@ def test_matches_that_agree_on_no_motion_tell_nothing():
 @pytest.mark.slow
 @pytest.mark.parametrize("fov", [38, 80])
 def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
-    assert contradicted(
-        matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))
-    ) == pytest.approx(fov, rel=0.15)
+    told = contradicted(matches(fov, *TURNING))
+    assert told == pytest.approx(fov, rel=0.15)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "found",
     [
-        matches(60, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
-        matches(54, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
-        matches(66, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
-        matches(40, (0, 0, 0), (-1, 0, 0)),
-        matches(40, (0.05, 0.35, 0.02), (-1, 0.1, 0.3), count=60),
-        matches(40, (0, 0.1, 0), (-1, 0, 0), outliers=1.0),
-        matches(132, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
-    ],
-    ids=[
-        "right",
-        "a tenth narrower",
-        "a tenth wider",
-        "moved sideways",
-        "few matches",
-        "no motion",
-        "wider than any that is tried",
+        pytest.param(matches(60, *TURNING), id="right"),
+        pytest.param(matches(54, *TURNING), id="a tenth narrower"),
+        pytest.param(matches(66, *TURNING), id="a tenth wider"),
+        pytest.param(matches(40, (0, 0, 0), (-1, 0, 0)), id="moved sideways"),
+        pytest.param(matches(40, *TURNING, count=60), id="few matches"),
+        pytest.param(
+            matches(40, (0, 0.1, 0), (-1, 0, 0), outliers=1.0), id="no motion"
+        ),
+        pytest.param(matches(132, *TURNING), id="wider than any that is tried"),
     ],
 )
 def test_what_is_nearly_right_or_cannot_be_told_is_not_contradicted(found):
@@ -144,12 +135,8 @@ def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
     with pytest.warns(UserWarning, match="not the 77 that were given"):
         believed = matcher.match(replace(pair.views, intrinsics=wrong))
     assert believed.intrinsics is None and believed.contradicting_fov < 65
-    assert (
-        matcher.match(
-            replace(pair.views, intrinsics=wrong, assumed=(True, False))
-        ).intrinsics
-        is None
-    )
+    half = replace(pair.views, intrinsics=wrong, assumed=(True, False))
+    assert matcher.match(half).intrinsics is None
     views = replace(pair.views, intrinsics=wrong, assumed=(True, True))
     told = matcher.match(views).calibrated(views).intrinsics[0, 0, 0, 0]
     true = pair.views.intrinsics[0, 0, 0, 0]

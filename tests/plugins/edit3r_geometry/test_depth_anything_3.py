@@ -31,10 +31,12 @@ from edit3r.loading.registry import default_registry, install_hint
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 from edit3r_testing.scenes import photograph
 
+PIP = (
+    "pip install --no-deps depth-anything-3==0.1.1 omegaconf "
+    "antlr4-python3-runtime==4.9.3 addict einops"
+)
 installed = pytest.mark.skipif(
-    importlib.util.find_spec("depth_anything_3") is None,
-    reason="needs pip install --no-deps depth-anything-3==0.1.1 omegaconf "
-    "antlr4-python3-runtime==4.9.3 addict einops",
+    importlib.util.find_spec("depth_anything_3") is None, reason=f"needs {PIP}"
 )
 UNIT = 3.7  # the network's unit of length is its own
 # What is right of a scene is knowledge, which random weights do not have; the truth-telling network
@@ -84,14 +86,17 @@ def test_points_of_one_view_fall_on_the_same_surface_in_the_other(truthful):
     scene = photograph(2, (192, 256))
     geometry = truthful.match(scene.views)
     assert torch.allclose(geometry.intrinsics, scene.cameras.intrinsics, atol=1e-5)
-    points = unproject(
-        geometry.depths[0, 0], geometry.intrinsics[0, 0], geometry.c2w[0, 0]
-    ).flatten(0, 1)
-    true = unproject(
-        scene.depths[0, 0], scene.cameras.intrinsics[0, 0], scene.cameras.c2w[0, 0]
-    ).flatten(0, 1)
-    found, _ = project(points, geometry.intrinsics[0, 1], geometry.c2w[0, 1])
-    expected, _ = project(true, scene.cameras.intrinsics[0, 1], scene.cameras.c2w[0, 1])
+    found, expected = (
+        project(
+            unproject(depths[0, 0], lenses[0, 0], c2w[0, 0]).flatten(0, 1),
+            lenses[0, 1],
+            c2w[0, 1],
+        )[0]
+        for depths, lenses, c2w in (
+            (geometry.depths, geometry.intrinsics, geometry.c2w),
+            (scene.depths, scene.cameras.intrinsics, scene.cameras.c2w),
+        )
+    )
     off = ((found - expected) * torch.tensor([256, 192])).norm(dim=-1)
     # the rest lies on depth edges
     assert off.median() < 0.05 and off.quantile(0.95) < 1
@@ -102,41 +107,32 @@ def test_confidence_2_counts_as_measured_and_the_unit_is_the_networks(truthful):
     geometry = truthful.match(scene.views)
     assert geometry.confidence[..., :100].median() == pytest.approx(0.2)
     assert geometry.confidence[..., 156:].median() == pytest.approx(0.8)
-    assert float((geometry.depths / scene.depths).median()) == pytest.approx(
-        UNIT, rel=1e-3
-    )
+    unit = float((geometry.depths / scene.depths).median())
+    assert unit == pytest.approx(UNIT, rel=1e-3)
 
 
 def test_a_lens_that_contradicts_the_photos_is_said(truthful):
     views = photograph(2, (192, 256)).views
-    other = Views(
-        views.images,
-        views.intrinsics * torch.tensor([1.5, 1.5, 1])[:, None] ** torch.eye(3),
-    )
+    longer = views.intrinsics * torch.tensor([1.5, 1.5, 1])[:, None] ** torch.eye(3)
+    other = Views(views.images, longer)
     with collecting(Report()) as report:
         truthful.match(other)
     assert "another field of view" in report.warnings[0]
     with collecting(Report()) as report:
         truthful.match(Views(other.images, other.intrinsics, assumed=(True, True)))
-    assert report.warnings == [] and report.notes["matcher.fov"] == pytest.approx(
-        51.6, abs=0.1
-    )
+    assert report.warnings == []
+    assert report.notes["matcher.fov"] == pytest.approx(51.6, abs=0.1)
 
 
 def test_a_photo_of_one_colour_is_refused(truthful):
+    grey = Views(torch.full((1, 2, 3, 96, 96), 0.5), torch.eye(3).expand(1, 2, 3, 3))
     with pytest.raises(MatchingError, match="one colour"):
-        truthful.match(
-            Views(torch.full((1, 2, 3, 96, 96), 0.5), torch.eye(3).expand(1, 2, 3, 3))
-        )
+        truthful.match(grey)
 
 
 def test_where_the_package_is_missing_the_exact_pip_line_is_said():
     offer = default_registry().find("matcher", "da3")
-    line = (
-        "pip install --no-deps depth-anything-3==0.1.1 omegaconf "
-        "antlr4-python3-runtime==4.9.3 addict einops"
-    )
-    assert install_hint(offer) == f"install with: {line}"
+    assert install_hint(offer) == f"install with: {PIP}"
 
 
 def test_missing_weights_are_told_before_any_work_with_the_line_that_fetches_them(
@@ -145,9 +141,8 @@ def test_missing_weights_are_told_before_any_work_with_the_line_that_fetches_the
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     monkeypatch.setenv("HF_HOME", str(tmp_path))
     for model in ("da3-small", "da3-base"):
-        with pytest.raises(
-            MissingDependencyError, match=rf"edit3r weights get {model} \(Apache-2.0"
-        ):
+        said = rf"edit3r weights get {model} \(Apache-2.0"
+        with pytest.raises(MissingDependencyError, match=said):
             depth_anything_3._load(model, "")
     with pytest.raises(InputError, match=r"matcher\.weights: no file"):
         depth_anything_3._load("da3-small", str(tmp_path / "nothing.safetensors"))
@@ -183,17 +178,13 @@ class TestThePackage:
             hook.remove()
         answer = answers[0]
         w2c = as_homogeneous(answer["extrinsics"])
-        theirs = unproject_depth(
-            answer["depth"][..., None], answer["intrinsics"], invert_rigid(w2c)
-        )[0].flatten(0, 2)
-        ours = unproject(
-            geometry.depths[0], geometry.intrinsics[0], geometry.c2w[0]
-        ).flatten(0, 2)
+        depths, lenses = answer["depth"][..., None], answer["intrinsics"]
+        theirs = unproject_depth(depths, lenses, invert_rigid(w2c))[0].flatten(0, 2)
+        parts = geometry.depths[0], geometry.intrinsics[0], geometry.c2w[0]
+        ours = unproject(*parts).flatten(0, 2)
         in_view_0 = theirs @ w2c[0, 0, :3, :3].T + w2c[0, 0, :3, 3]
-        # half a pixel
-        assert (ours - in_view_0).norm(dim=-1).max() < 0.02 * in_view_0.norm(
-            dim=-1
-        ).median()
+        half_a_pixel = 0.02 * in_view_0.norm(dim=-1).median()
+        assert (ours - in_view_0).norm(dim=-1).max() < half_a_pixel
 
     def test_weights_in_the_layout_of_the_hub_are_read_and_others_refused(
         self, contract, tmp_path
@@ -211,9 +202,8 @@ class TestThePackage:
         assert torch.equal(loaded.cam_dec.fc_t.bias, network.cam_dec.fc_t.bias + 1)
         del state["model.cam_dec.fc_t.bias"]
         save_file(state, folder / "model.safetensors")
-        with pytest.raises(
-            InputError, match=r"does not hold the weights of da3-small.*fc_t\.bias"
-        ):
+        said = r"does not hold the weights of da3-small.*fc_t\.bias"
+        with pytest.raises(InputError, match=said):
             depth_anything_3._load("da3-small", str(folder / "model.safetensors"))
 
     def test_its_configuration_loader_can_no_longer_evaluate(self, contract):
@@ -236,10 +226,8 @@ class TestThePackage:
         with collecting(Report()) as report:
             matcher = edit3r.build("matcher", "auto")
             matcher.match(views)
-        assert (
-            matcher.settings.pick == "da3-small"
-            and report.notes["matcher.picked"] == "da3 (da3-small)"
-        )
+        assert matcher.settings.pick == "da3-small"
+        assert report.notes["matcher.picked"] == "da3 (da3-small)"
         (tmp_path / "da3-base" / "model.safetensors").write_bytes(b"")
         settings = default_registry().settings_class(
             default_registry().find("matcher", "auto")
@@ -253,14 +241,11 @@ def test_auto_without_weights_is_its_matcher_and_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("HF_HOME", str(tmp_path))
     events = []
     with collecting(Report(on_event=lambda *event: events.append(event[:2]))) as report:
-        matcher = edit3r.build(
-            "matcher", "auto", matcher={"name": "classical", "working_size": 96}
-        )
+        classical = {"name": "classical", "working_size": 96}
+        matcher = edit3r.build("matcher", "auto", matcher=classical)
         geometry = matcher.match(photograph(2, (192, 256)).views)
-    assert ("say", "matcher: classical") in events and report.notes[
-        "matcher.picked"
-    ] == "classical"
-    assert matcher.matcher.settings.working_size == 96 and bool(
-        geometry.registered.all()
-    )
+    assert ("say", "matcher: classical") in events
+    assert report.notes["matcher.picked"] == "classical"
+    assert matcher.matcher.settings.working_size == 96
+    assert bool(geometry.registered.all())
     assert json.loads(matcher.settings.model_dump_json())["pick"] == "part"

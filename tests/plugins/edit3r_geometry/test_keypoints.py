@@ -1,11 +1,13 @@
 """Matches that stand still while others move: screens, frames, watermarks."""
 
+import io
+
 import numpy as np
 import pytest
 from edit3r_geometry.cameras import CalibratedImage
 from edit3r_geometry.features import FeatureSettings, find_features
 from edit3r_geometry.keypoints import MOVED, STILL, _still
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 from skimage import data
 
 from edit3r.contract.reporting import Report, collecting
@@ -28,9 +30,7 @@ def bars(photo):
 
 
 def light_bars(photo):
-    return Image.fromarray(
-        255 - np.asarray(bars(Image.fromarray(255 - np.asarray(photo))))
-    )
+    return ImageOps.invert(bars(ImageOps.invert(photo)))
 
 
 def watermark(photo):
@@ -50,9 +50,8 @@ def date_stamp(photo):
 
 def frame(photo):
     rng = np.random.default_rng(0)
-    pattern = np.kron(
-        rng.integers(0, 255, (58, 86, 3), np.uint8), np.ones((6, 6, 1), np.uint8)
-    )
+    coarse = rng.integers(0, 255, (58, 86, 3), np.uint8)
+    pattern = np.kron(coarse, np.ones((6, 6, 1), np.uint8))
     framed = Image.fromarray(pattern[:345, :512])
     framed.paste(photo.resize((432, 285)), (40, 30))
     return framed
@@ -61,17 +60,13 @@ def frame(photo):
 def dashboard(photo):
     """What moves along with the camera: the front of a car, a drone's leg."""
     rng = np.random.default_rng(1)
-    part = Image.fromarray(rng.integers(0, 255, (20, 64, 3), np.uint8)).resize(
-        (512, 90)
-    )
+    part = Image.fromarray(rng.integers(0, 255, (20, 64, 3), np.uint8))
     moved = photo.copy()
-    moved.paste(part, (0, 255))
+    moved.paste(part.resize((512, 90)), (0, 255))
     return moved
 
 
 def again_as_jpeg(photo):
-    import io
-
     content = io.BytesIO()
     bars(photo).save(content, "JPEG", quality=75)
     return Image.open(content).convert("RGB")
@@ -82,19 +77,15 @@ SCREENS = [bars, light_bars, watermark, date_stamp, frame, dashboard, again_as_j
 
 def found(*photos):
     lens = np.array([[500.0, 0, 256], [0, 500, 172], [0, 0, 1]])
-    images = [
-        CalibratedImage(np.asarray(photo, np.float32) / 255, lens) for photo in photos
-    ]
+    pixels = [np.asarray(photo, np.float32) / 255 for photo in photos]
+    images = [CalibratedImage(one, lens) for one in pixels]
     with collecting(Report()) as report:
         features = find_features(images, FeatureSettings(matches="sift"))
-    ways = {
-        (a, b): np.linalg.norm(
-            features.keypoints[a].points[pairs[:, 0]]
-            - features.keypoints[b].points[pairs[:, 1]],
-            axis=1,
-        )
-        for (a, b), pairs in features.indices.items()
-    }
+    ways = {}
+    for (a, b), pairs in features.indices.items():
+        first, second = (features.keypoints[view].points for view in (a, b))
+        moved = first[pairs[:, 0]] - second[pairs[:, 1]]
+        ways[a, b] = np.linalg.norm(moved, axis=1)
     return ways, " ".join(report.warnings)
 
 

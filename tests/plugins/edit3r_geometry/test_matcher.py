@@ -25,10 +25,8 @@ def within_share(depth, truth, tolerance=0.1):
     known = truth > 0
     measured = known & (depth > 0)
     scale = np.median(truth[measured] / depth[measured])
-    right = measured & (
-        np.abs(depth * scale / np.where(known, truth, 1) - 1) <= tolerance
-    )
-    return right.sum() / known.sum()
+    off = np.abs(depth * scale / np.where(known, truth, 1) - 1)
+    return (measured & (off <= tolerance)).sum() / known.sum()
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +37,8 @@ def matcher():
 @pytest.fixture(scope="module")
 def quick():
     """Looks at less, for those whose claim is no exactness."""
-    return edit3r.build(
-        "matcher", "classical", working_size=96, planes=24, detection_size=320
-    )
+    less = {"working_size": 96, "planes": 24, "detection_size": 320}
+    return edit3r.build("matcher", "classical", **less)
 
 
 @pytest.fixture(scope="module")
@@ -61,17 +58,22 @@ def matched(matcher, pair):
     return matcher.match(pair.views)
 
 
-def direction_degrees(a, b):
-    return np.degrees(
-        np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
-    )
-
-
 def pose_errors(geometry, room, view):
+    """Of rotation and of direction [degrees]."""
     found, true = geometry.c2w[0, view].numpy(), room.c2w[view]
-    return rotation_degrees(found[:3, :3], true[:3, :3]), direction_degrees(
-        found[:3, 3], true[:3, 3]
+    a, b = found[:3, 3], true[:3, 3]
+    cosine = np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)
+    turn = rotation_degrees(found[:3, :3], true[:3, :3])
+    return turn, np.degrees(np.arccos(cosine))
+
+
+def joined(views, dim=1, names=()):
+    """Photos in one scene, or scenes in one batch."""
+    images, lenses = (
+        torch.cat([getattr(one, name) for one in views], dim)
+        for name in ("images", "intrinsics")
     )
+    return Views(images, lenses, names)
 
 
 def test_pose_of_a_known_room_is_within_a_third_of_a_degree(matched, pair):
@@ -98,24 +100,18 @@ def test_depth_of_a_known_room_is_right_almost_everywhere(matched, pair, view):
 
 def test_poses_and_depths_share_one_unit_of_length(matched, pair):
     measured = matched.confidence[0, 0].numpy() > 0.5
-    of_depths = np.median(
-        matched.depths[0, 0].numpy()[measured] / pair.depths[0][measured]
-    )
-    of_poses = np.linalg.norm(matched.c2w[0, 1, :3, 3]) / np.linalg.norm(
-        pair.c2w[1][:3, 3]
-    )
+    ratios = matched.depths[0, 0].numpy()[measured] / pair.depths[0][measured]
+    of_depths = np.median(ratios)
+    found, true = (np.linalg.norm(x[1, :3, 3]) for x in (matched.c2w[0], pair.c2w))
+    of_poses = found / true
     assert of_depths == pytest.approx(of_poses, rel=0.03)
 
 
 def test_measured_pixels_are_right_and_most_pixels_are_measured(matched, pair):
     sure = matched.confidence[0, 0].numpy() > 0.5
     assert sure.mean() > 0.6
-    assert (
-        within_share(
-            matched.depths[0, 0].numpy(), np.where(sure, pair.depths[0], 0), 0.05
-        )
-        > 0.97
-    )
+    known = np.where(sure, pair.depths[0], 0)
+    assert within_share(matched.depths[0, 0].numpy(), known, 0.05) > 0.97
 
 
 def test_same_photos_give_the_same_bytes(matcher, matched, pair):
@@ -126,11 +122,7 @@ def test_same_photos_give_the_same_bytes(matcher, matched, pair):
 
 def test_a_scene_does_not_depend_on_its_batch(matcher, matched, pair, make_room):
     other = make_room([(0,), (0.3, 0, -3)], seed=50).views
-    both = Views(
-        torch.cat((other.images, pair.views.images)),
-        torch.cat((other.intrinsics, pair.views.intrinsics)),
-    )
-    geometry = matcher.match(both)
+    geometry = matcher.match(joined([other, pair.views], dim=0))
     assert torch.equal(geometry.depths[1], matched.depths[0])
     assert torch.equal(geometry.c2w[1], matched.c2w[0])
 
@@ -154,29 +146,18 @@ def test_three_views_are_placed_in_one_scale(matcher, make_room):
     room = make_room([(0,), (0.35, 0.05, -4), (-0.3, -0.05, 3)])
     geometry = matcher.match(room.views)
     assert geometry.registered.all()
-    lengths = [
-        np.linalg.norm(geometry.c2w[0, view, :3, 3])
-        / np.linalg.norm(room.c2w[view][:3, 3])
-        for view in (1, 2)
-    ]
-    assert lengths[0] == pytest.approx(lengths[1], rel=0.05)
-    assert max(pose_errors(geometry, room, view)[0] for view in (1, 2)) < 0.4
-    assert (
-        min(
-            within_share(geometry.depths[0, v].numpy(), room.depths[v])
-            for v in range(3)
-        )
-        > 0.85
+    found, true = (
+        np.linalg.norm(x[1:, :3, 3], axis=1) for x in (geometry.c2w[0], room.c2w)
     )
+    assert (found / true)[0] == pytest.approx((found / true)[1], rel=0.05)
+    assert max(pose_errors(geometry, room, view)[0] for view in (1, 2)) < 0.4
+    for found, true in zip(geometry.depths[0].numpy(), room.depths):
+        assert within_share(found, true) > 0.85
 
 
 def test_a_photo_of_another_scene_is_reported_not_registered(quick, pair, make_room):
     stranger = make_room([(0,)], seed=70).views
-    views = Views(
-        torch.cat((pair.views.images, stranger.images), 1),
-        torch.cat((pair.views.intrinsics, stranger.intrinsics), 1),
-        ("left", "right", "stranger"),
-    )
+    views = joined([pair.views, stranger], names=("left", "right", "stranger"))
     with collecting(Report()) as report:
         geometry = quick.match(views)
     assert geometry.registered.tolist() == [[True, True, False]]
@@ -186,16 +167,9 @@ def test_a_photo_of_another_scene_is_reported_not_registered(quick, pair, make_r
 
 def test_photos_of_two_scenes_raise_with_the_reason_and_advice(quick, make_room):
     views = [make_room([(0,)], seed=seed).views for seed in (0, 70)]
-    strangers = Views(
-        torch.cat([v.images for v in views], 1),
-        torch.cat([v.intrinsics for v in views], 1),
-        ("a.jpg", "b.jpg"),
-    )
-    with pytest.raises(
-        MatchingError,
-        match=r"a\.jpg and b\.jpg.*too few to be sure.*[Gg]ive photos of one",
-    ):
-        quick.match(strangers)
+    said = r"a\.jpg and b\.jpg.*too few to be sure.*[Gg]ive photos of one"
+    with pytest.raises(MatchingError, match=said):
+        quick.match(joined(views, names=("a.jpg", "b.jpg")))
 
 
 def test_photos_from_wide_apart_are_matched_again_as_seen_from_aside(
@@ -226,11 +200,7 @@ def test_photos_from_wide_apart_are_told_that_their_lens_is_unsure(thorough, mak
 def test_a_second_try_that_places_fewer_photos_is_not_taken(
     quick, pair, make_room, monkeypatch
 ):
-    stranger = make_room([(0,)], seed=70).views
-    views = Views(
-        torch.cat((pair.views.images, stranger.images), 1),
-        torch.cat((pair.views.intrinsics, stranger.intrinsics), 1),
-    )
+    views = joined([pair.views, make_room([(0,)], seed=70).views])
 
     def without_matches(found, *_):
         nothing = {two: indices[:0] for two, indices in found.indices.items()}
@@ -240,12 +210,11 @@ def test_a_second_try_that_places_fewer_photos_is_not_taken(
     assert quick.match(views).registered.tolist() == [[True, True, False]]
 
 
-def test_photos_from_one_place_raise_because_depth_cannot_be_read(plain, make_room):
+def test_photos_from_one_place_raise_because_depth_cannot_be_read(
+    plain, make_room, pair
+):
     with pytest.raises(MatchingError, match="parallax"):
         plain.match(make_room([(0,), (0, 0, 3)]).views)
-
-
-def test_the_same_photo_twice_raises(plain, pair):
     with pytest.raises(MatchingError):
         plain.match(pair.views.select([0, 0]))
 
@@ -253,9 +222,8 @@ def test_the_same_photo_twice_raises(plain, pair):
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (8, 300)])
 def test_tiny_photos_raise_with_the_size_that_is_needed(matcher, size):
     views = Views(torch.rand(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))
-    with pytest.raises(
-        MatchingError, match=f"{size[1]} x {size[0]} pixels.*at least 32"
-    ):
+    said = f"{size[1]} x {size[0]} pixels.*at least 32"
+    with pytest.raises(MatchingError, match=said):
         matcher.match(views)
 
 
@@ -276,11 +244,8 @@ def test_the_packaged_motorcycle_pair_has_its_true_depth(matcher):
     intrinsics = views.intrinsics[0].numpy()
     disparity = cv2.resize(disparity, (width, height), interpolation=cv2.INTER_NEAREST)
     known = np.isfinite(disparity) & (disparity > 0)
-    motion = (
-        np.where(known, disparity, 1) / pixels
-        + intrinsics[1, 0, 2]
-        - intrinsics[0, 0, 2]
-    )
+    between = intrinsics[1, 0, 2] - intrinsics[0, 0, 2]
+    motion = np.where(known, disparity, 1) / pixels + between
     truth = np.where(known, 1 / motion, 0)
     assert within_share(geometry.depths[0, 0].numpy(), truth, 0.1) > 0.85
 

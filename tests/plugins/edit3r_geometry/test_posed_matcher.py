@@ -21,9 +21,8 @@ class Elsewhere(Matcher):
 
 @pytest.fixture(scope="module")
 def matcher():
-    return edit3r.build(
-        "matcher", "posed", {"matcher": Elsewhere()}, planes=48, detection_size=256
-    )
+    less = {"planes": 48, "detection_size": 256}
+    return edit3r.build("matcher", "posed", {"matcher": Elsewhere()}, **less)
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +57,8 @@ def test_depth_is_measured_on_the_corrected_photos(matcher, large, monkeypatch):
     _, views = large
     darker, seen = replace(views, images=0.8 * views.images), []
     measure = matchers.measure_depths
-    monkeypatch.setattr(
-        matchers,
-        "measure_depths",
-        lambda images, *rest: seen.append(images) or measure(images, *rest),
-    )
+    spy = lambda images, *rest: seen.append(images) or measure(images, *rest)  # noqa: E731
+    monkeypatch.setattr(matchers, "measure_depths", spy)
     matcher.match_corrected(darker, views)
     (images,) = seen
     for image, corrected in zip(images, matchers.calibrated_images(views, 0)):

@@ -58,25 +58,18 @@ def test_every_pixel_becomes_a_gaussian_of_its_own_colour_and_view(pair, truth):
     assert (
         gaussians.view_index == torch.arange(2).repeat_interleave(height * width)
     ).all()
-    colours = (
-        dc_to_colour(gaussians.harmonics[0, :, 0])
-        .view(2, height, width, 3)
-        .permute(0, 3, 1, 2)
-    )
-    assert torch.allclose(colours, pair.views.images[0], atol=1e-6)
+    colours = dc_to_colour(gaussians.harmonics[0, :, 0]).view(2, height, width, 3)
+    photos = pair.views.images[0].movedim(1, -1)
+    assert torch.allclose(colours, photos, atol=1e-6)
 
 
 def test_gaussians_stand_where_their_pixels_see_them(pair, truth):
-    gaussians = build(truth, rim=0, background_layer=0)(pair.views).gaussians.from_view(
-        1
-    )
-    places, depth = project(
-        gaussians.means, pair.views.intrinsics[:, 1], truth.c2w[:, 1]
-    )
+    made = build(truth, rim=0, background_layer=0)(pair.views)
+    means = made.gaussians.from_view(1).means
+    places, depth = project(means, pair.views.intrinsics[:, 1], truth.c2w[:, 1])
     height, width = pair.views.image_size
-    assert torch.allclose(
-        places[0, 0], torch.tensor([0.5 / width, 0.5 / height]), atol=1e-5
-    )
+    corner = torch.tensor([0.5 / width, 0.5 / height])
+    assert torch.allclose(places[0, 0], corner, atol=1e-5)
     assert torch.allclose(depth.view(height, width), truth.depths[0, 1], rtol=1e-4)
 
 
@@ -119,16 +112,14 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     half[..., :40] = 0
     geometry = dataclasses.replace(truth, confidence=half)
     settings = build(geometry).reconstructor.settings
-    opacities = build(geometry, rim=0, background_layer=0)(
-        pair.views
-    ).gaussians.opacities
+    made = build(geometry, rim=0, background_layer=0)(pair.views)
+    opacities = made.gaussians.opacities
     expected = [settings.guessed_opacity, settings.opacity, settings.lone_opacity]
     assert opacities.unique().tolist() == pytest.approx(expected)
     shown = seen_by_others(geometry, pair.views.intrinsics)
     kept = ~contradicted(geometry, pair.views.intrinsics)
-    assert opacities[0][(shown & (half == 0))[kept]].unique().tolist() == pytest.approx(
-        expected[:1]
-    )
+    guessed = opacities[0][(shown & (half == 0))[kept]].unique()
+    assert guessed.tolist() == pytest.approx(expected[:1])
 
 
 def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
@@ -139,17 +130,14 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
     floating = contradicted(geometry, pair.views.intrinsics)
     assert floating[0, 0, 60:64, 80:84].all()
     assert floating.sum() == 16
-    assert (
-        build(geometry, rim=0, background_layer=0)(pair.views).gaussians.count
-        == truth.depths.numel() - 16
-    )
+    made = build(geometry, rim=0, background_layer=0)(pair.views)
+    assert made.gaussians.count == truth.depths.numel() - 16
 
 
 def test_views_that_were_not_placed_leave_no_gaussians(pair, truth):
     three = [0, 1, 1]
-    geometry = dataclasses.replace(
-        truth.select(three), registered=torch.tensor([[True, False, True]])
-    )
+    placed = torch.tensor([[True, False, True]])
+    geometry = dataclasses.replace(truth.select(three), registered=placed)
     gaussians = build(geometry)(pair.views.select(three)).gaussians
     assert set(gaussians.view_index.tolist()) == {0, 2}
 
@@ -169,10 +157,8 @@ def test_photos_that_cannot_be_matched_raise():
 
 @pytest.mark.slow
 def test_photos_alone_give_a_scene_that_shows_them_again(pair):
-    reconstruction = by_matching(pair.views)
-    seen = edit3r.build("rasterizer", "numba").render(
-        reconstruction.gaussians, reconstruction.cameras
-    )
+    made, numba = by_matching(pair.views), edit3r.build("rasterizer", "numba")
+    seen = numba.render(made.gaussians, made.cameras)
     for view in (0, 1):
         image, photo = (
             x[0, view].permute(1, 2, 0).numpy()
@@ -189,14 +175,12 @@ def test_the_background_layer_shows_the_background_where_a_foreground_was_taken_
     """
     full = build(truth)(pair.views).gaussians
     layer = background_layer(pair.views, truth, 0.9)
-    camera = Cameras(
-        truth.c2w[:, :1], pair.views.intrinsics[:, :1], pair.views.image_size
-    )
+    lens = pair.views.intrinsics[:, :1]
+    camera = Cameras(truth.c2w[:, :1], lens, pair.views.image_size)
     alone = edit3r.build("rasterizer", "numba").render(layer, camera)
     shown = alone.alphas[0, 0, 0] > 0.5
     assert 0.02 < shown.float().mean() < 0.9
     # soft edges of blocks reach over
-    assert (
-        alone.depths[0, 0, 0][shown] > truth.depths[0, 0][shown]
-    ).float().mean() > 0.85
+    farther = alone.depths[0, 0, 0][shown] > truth.depths[0, 0][shown]
+    assert farther.float().mean() > 0.85
     assert full.count > truth.depths.numel()

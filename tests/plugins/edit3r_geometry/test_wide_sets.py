@@ -86,12 +86,8 @@ def test_three_in_a_row_without_a_common_point_are_joined_by_points_near_each_ot
     for view, true in POSES.items():
         turn = cv2.Rodrigues(poses[view].rotation @ true.rotation.T)[0]
         assert np.degrees(np.linalg.norm(turn)) < 1
-    steps = [
-        np.linalg.norm(
-            poses[a].inverse().translation - poses[a + 1].inverse().translation
-        )
-        for a in (0, 1)
-    ]
+    centres = np.stack([pose.inverse().translation for pose in poses])
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     assert steps[1] / steps[0] == pytest.approx(1, abs=0.05)
 
 
@@ -108,11 +104,8 @@ def test_depths_that_tell_no_common_scale_join_nothing():
 
 def test_where_only_the_first_photo_matches_none_the_message_says_which_to_give_first():
     points = wavy(150, 1)
-    keys = (
-        keypoints(np.zeros((0, 2))),
-        keypoints(seen(points, 1)),
-        keypoints(seen(points, 2)),
-    )
+    places = np.zeros((0, 2)), seen(points, 1), seen(points, 2)
+    keys = tuple(map(keypoints, places))
     none = same(0)
     indices = {(0, 1): none, (0, 2): none, (1, 2): same(150)}
     advice = "b, c match among themselves: give b first, and a is left out"
@@ -125,10 +118,8 @@ def placed(points, noise, tilted):
     """Register two views of `points` with wrong matches, half an image apart in y."""
     first = np.random.default_rng(3).uniform((0, 0), SIZE[::-1], (noise, 2))
     by_chance = [first, (first + np.array((0, SIZE[0] / 2))) % SIZE[::-1]]
-    keys = tuple(
-        keypoints(np.concatenate((seen(points, view), by_chance[view])))
-        for view in (0, 1)
-    )
+    places = (np.concatenate((seen(points, v), by_chance[v])) for v in (0, 1))
+    keys = tuple(map(keypoints, places))
     found = FoundFeatures(keys, {(0, 1): same(len(points) + noise)}, tilted=tilted)
     return registration.register(images(2), "ab", found, threshold=1.0, seed=0)
 

@@ -31,10 +31,10 @@ class Knows(Matcher):
         return self.spoil(true_geometry(views))
 
 
-def verdict_of(recon=None, *, matcher=None, **settings):
+def verdict_of(recon=None, *, views=SCENE.views, matcher=None, **settings):
     """The verdict on the tiny scene, made of what is given."""
     return edit3r.run(
-        SCENE.views,
+        views,
         editor="none",
         recon=recon or BrokenReconstructor(),
         matcher=matcher or Knows(),
@@ -163,14 +163,7 @@ def test_what_refiners_do_to_the_view_half_way_is_no_fault_of_the_reconstructor(
 
 
 def test_of_many_photos_scene_and_reference_are_looked_at_from_the_same_eight_places():
-    verdict = edit3r.run(
-        photograph(14, (48, 64)).views,
-        editor="none",
-        recon=BrokenReconstructor(),
-        matcher=Knows(),
-        report=Report(),
-        **PLAIN,
-    ).verdict
+    verdict = verdict_of(views=photograph(14, (48, 64)).views)
     told = [one for one in verdict.beside_reference if one is not None]
     assert len(told) < 14 and None not in verdict.unlike_between
     assert told == pytest.approx([0] * len(told), abs=1e-6)
@@ -187,12 +180,5 @@ def test_a_thing_that_is_flat_is_not_taken_for_a_scene_without_depth():
     focal = float(SCENE.views.intrinsics[0, 0, 0, 0]) * 256
     c2w[0, 1, 0, 3] = -6 / focal * 3
     flat = replace(geometry, depths=depths, c2w=c2w)
-    made = edit3r.run(
-        views,
-        editor="none",
-        recon=BrokenReconstructor(),
-        matcher=Knows(lambda _: flat),
-        report=Report(),
-        **PLAIN,
-    ).verdict
+    made = verdict_of(views=views, matcher=Knows(lambda _: flat))
     assert made.label in ("good", "fair") and set(made.beside_flat) == {None}

@@ -48,25 +48,22 @@ def test_the_figures_are_those_of_the_renderings():
     measured, guessed = torch.tensor([[[0.9, 0.5, 1.0]], [[0.1, 0.1, 0.3]]])
     verdict = judge(scene(EDITED, three, measured=measured), guessed)
     assert verdict.input_psnr == pytest.approx((30, 20, 10), abs=1e-3)
-    assert verdict.coverage == pytest.approx(
-        (0.75,) * 3
-    ) and verdict.filled == pytest.approx((0.1, 0.5, 0.0))
+    assert verdict.coverage == pytest.approx((0.75,) * 3)
+    assert verdict.filled == pytest.approx((0.1, 0.5, 0.0))
     assert verdict.guessed_between == pytest.approx((0.1, 0.1, 0.3))
 
 
 def test_a_scene_that_does_not_show_its_worst_photo_failed():
     worst = fitted_limits("scene")["agreement"]
-    enough = shown(EDITED, rendered(45.0, 45.0, worst + 0.1), [True] * 3)
-    too_low = shown(EDITED, rendered(45.0, 45.0, worst - 0.1), [True] * 3)
+    enough = shown(EDITED, rendered(45.0, 45.0, worst + 0.1))
+    too_low = shown(EDITED, rendered(45.0, 45.0, worst - 0.1))
     assert (enough.label, too_low.label) == ("good", "failed")
 
 
 def test_what_is_bad_is_said_with_the_photo_and_the_way_out():
-    verdict = shown(EDITED, rendered(30.0, 10.0, 30.0), [True] * 3)
-    assert (
-        verdict.label == "failed"
-        and "b hardly at all; leave b out, or" in verdict.reason
-    )
+    verdict = shown(EDITED, rendered(30.0, 10.0, 30.0))
+    assert verdict.label == "failed"
+    assert "b hardly at all; leave b out, or" in verdict.reason
 
 
 def test_where_the_photos_are_not_to_blame_the_advice_is_about_what_is():
@@ -97,26 +94,16 @@ def test_how_sharp_photos_are_on_the_whole_is_said_in_words(psnr, seen):
 
 
 def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
-    verdict = shown(
-        EDITED.select([0, 2]),
-        rendered(40.0, 41.0),
-        [True, False, True],
-    )
-    assert (
-        verdict.label == "fair"
-        and "1 of 3 photos could not be placed" in verdict.reason
-    )
-    assert (
-        verdict.placed == (True, False, True)
-        and verdict.input_psnr[1] is verdict.filled[1] is None
-    )
+    placed = (True, False, True)
+    verdict = shown(EDITED.select([0, 2]), rendered(40.0, 41.0), placed)
+    assert verdict.label == "fair" and verdict.placed == placed
+    assert "1 of 3 photos could not be placed" in verdict.reason
+    assert verdict.input_psnr[1] is verdict.filled[1] is None
     assert verdict.input_psnr[2] == pytest.approx(41, abs=1e-3)
 
 
 def test_a_run_without_most_of_its_photos_failed():
-    verdict = shown(
-        EDITED.select([0]), rendered(40.0), [True, False, False, False], None
-    )
+    verdict = shown(EDITED.select([0]), rendered(40.0), [True] + 3 * [False])
     assert verdict.label == "failed"
     assert "3 of 4 photos could not be placed" in verdict.reason
     half = shown(EDITED.select([0, 1]), rendered(40.0, 40.0), [True, False] * 2)
@@ -169,27 +156,17 @@ def test_a_view_half_way_that_looks_like_neither_photo_counts_and_its_photos_are
 
 
 def test_a_rendering_equal_to_the_photo_has_a_finite_figure():
-    assert (
-        shown(
-            EDITED,
-            Rendering(EDITED.images, EDITED.images[:, :, :1], EDITED.images[:, :, :1]),
-            [True] * 3,
-            None,
-        ).input_psnr[0]
-        == 100
-    )
+    alphas = EDITED.images[:, :, :1]
+    verdict = shown(EDITED, Rendering(EDITED.images, alphas, alphas))
+    assert verdict.input_psnr[0] == 100
 
 
 def test_steps_towards_the_photos_make_no_bad_scene_good():
     first, final = rendered(30.0, 10.0, 30.0), rendered(30.0, 30.0, 30.0)
     verdict = judge(scene(EDITED, first, final=final))
-    assert verdict.label == "failed" and verdict.input_psnr[1] == pytest.approx(
-        30, abs=1e-3
-    )
-    assert (
-        verdict.agreement[1] == pytest.approx(10, abs=1e-3)
-        and "and b hardly at all" in verdict.reason
-    )
+    assert verdict.label == "failed" and "and b hardly at all" in verdict.reason
+    assert verdict.input_psnr[1] == pytest.approx(30, abs=1e-3)
+    assert verdict.agreement[1] == pytest.approx(10, abs=1e-3)
 
 
 def test_a_scene_that_refiners_made_worse_is_judged_by_what_is_left():
@@ -198,24 +175,19 @@ def test_a_scene_that_refiners_made_worse_is_judged_by_what_is_left():
 
 
 def test_where_most_photos_do_not_find_to_the_first_it_is_to_blame():
-    verdict = shown(
-        EDITED.select([0, 1]),
-        rendered(15.0, 15.0),
-        [True, True, False, False, False],
-        None,
-    )
+    placed = [True, True, False, False, False]
+    verdict = shown(EDITED.select([0, 1]), rendered(15.0, 15.0), placed)
     assert "share with a: begin with another photo" in verdict.reason
 
 
 def test_of_several_scenes_the_worst_counts():
     one, other = rendered(40.0, 10.0, 40.0), rendered(40.0, 40.0, 12.0)
-    both = Rendering(
-        torch.cat((one.images, other.images)),
-        torch.cat((one.alphas, other.alphas)),
-        None,
+    images, alphas = (
+        torch.cat((getattr(one, name), getattr(other, name)))
+        for name in ("images", "alphas")
     )
     twice = Views(
-        EDITED.images.repeat(2, 1, 1, 1, 1), EDITED.intrinsics.repeat(2, 1, 1, 1)
+        EDITED.images.expand(2, -1, -1, -1, -1), EDITED.intrinsics.expand(2, -1, -1, -1)
     )
-    verdict = shown(twice, both, [True] * 3)
+    verdict = shown(twice, Rendering(images, alphas, None))
     assert verdict.input_psnr == pytest.approx((40, 10, 12), abs=1e-3)

@@ -25,33 +25,21 @@ def camera(x, degrees, file="a.png", width=96, height=64):
     c2w = np.eye(4)
     c2w[:3, :3] = cv2.Rodrigues(np.array([0, np.radians(degrees), 0]))[0]
     c2w[0, 3] = x
-    return PosedCamera(
-        file,
-        width,
-        height,
-        np.array([[80.0, 0, width / 2], [0, 80, height / 2], [0, 0, 1]]),
-        c2w,
-    )
+    lens = np.array([[80.0, 0, width / 2], [0, 80, height / 2], [0, 0, 1]])
+    return PosedCamera(file, width, height, lens, c2w)
 
 
 def photo_of_wall(camera):
     """A textured wall at z = DEPTH, seen by `camera`."""
-    grain = cv2.resize(
-        np.random.default_rng(0).random((24, 48, 3)),
-        (960, 480),
-        interpolation=cv2.INTER_CUBIC,
-    )
+    coarse = np.random.default_rng(0).random((24, 48, 3))
+    grain = cv2.resize(coarse, (960, 480), interpolation=cv2.INTER_CUBIC)
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = (
-        np.stack([x, y, np.ones_like(x)], -1)
-        @ np.linalg.inv(camera.K).T
-        @ camera.c2w[:3, :3].T
-    )
+    pixels = np.stack([x, y, np.ones_like(x)], -1)
+    rays = pixels @ np.linalg.inv(camera.K).T @ camera.c2w[:3, :3].T
     wall = rays / rays[..., 2:] * DEPTH + camera.c2w[:3, 3]
     u, v = (wall[..., 0] + 6) / 12 * 959, (wall[..., 1] + 3) / 6 * 479
-    seen = cv2.remap(
-        grain, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR
-    )
+    places = u.astype(np.float32), v.astype(np.float32)
+    seen = cv2.remap(grain, *places, cv2.INTER_LINEAR)
     return (np.clip(seen, 0, 1) * 255).astype(np.uint8)
 
 
@@ -70,14 +58,10 @@ def written(folder, cameras):
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scenes") / "wall"
     path.mkdir()
-    cameras = [
-        camera(x, turn, f"{i}.png")
-        for i, (x, turn) in enumerate(((-0.4, 4), (0, 0), (0.4, -4)))
-    ]
-    entries = written(path, cameras)
-    entries.append(
-        {"file": "lost.png", "width": 9, "height": 9, "K": None, "c2w": None}
-    )
+    places = enumerate(((-0.4, 4), (0, 0), (0.4, -4)))
+    entries = written(path, [camera(x, turn, f"{i}.png") for i, (x, turn) in places])
+    lost = {"file": "lost.png", "width": 9, "height": 9, "K": None, "c2w": None}
+    entries.append(lost)
     (path / "cameras.json").write_text(json.dumps(entries))
     return read_posed_folder(path)
 
@@ -95,13 +79,10 @@ class WallKnown(Reconstructor):
             raise MatchingError("nothing in common.")
         first, second = (self.folder.cameras[i].c2w for i in (0, 2))
         size = views.image_size
-        x, y = np.meshgrid(
-            (np.arange(size[1]) + 0.5) / size[1], (np.arange(size[0]) + 0.5) / size[0]
-        )
-        rays = (
-            np.stack([x, y, np.ones_like(x)], -1)
-            @ np.linalg.inv(views.intrinsics[0, 0].double().numpy()).T
-        )
+        y, x = ((np.arange(side) + 0.5) / side for side in size)
+        x, y = np.meshgrid(x, y)
+        lens = np.linalg.inv(views.intrinsics[0, 0].double().numpy())
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ lens.T
         depth = DEPTH / (rays @ first[:3, :3].T)[..., 2:]
         points = torch.from_numpy(self.unit * rays * depth).float().reshape(1, -1, 3)
         c2w = np.stack([np.eye(4), np.linalg.inv(first) @ second])
@@ -114,10 +95,8 @@ class WallKnown(Reconstructor):
             torch.full((1, count), 0.8),
             colour_to_dc(views.images[0, 0].permute(1, 2, 0)).reshape(1, count, 1, 3),
         )
-        return Reconstruction(
-            gaussians,
-            Cameras(torch.from_numpy(c2w).float()[None], views.intrinsics, size),
-        )
+        pose = torch.from_numpy(c2w).float()[None]
+        return Reconstruction(gaussians, Cameras(pose, views.intrinsics, size))
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from edit3r_measure.evaluate_tables import as_markdown, as_records
+from edit3r_measure.evaluate_scenes import as_markdown, as_records
 from edit3r_measure.novel_view import (
     best_blurred_copy,
     carried_edit,
@@ -38,9 +38,8 @@ def test_the_centre_square_sees_the_same_rays(folder):
     photo = folder.load(0, 32)
     assert photo.image.shape == (32, 32, 3)
     # 64 of 96 columns are kept: the middle stays, the focal length counts in smaller widths.
-    assert photo.intrinsics == pytest.approx(
-        np.array([[80 / 64, 0, 0.5], [0, 80 / 64, 0.5], [0, 0, 1]])
-    )
+    lens = np.array([[80 / 64, 0, 0.5], [0, 80 / 64, 0.5], [0, 0, 1]])
+    assert photo.intrinsics == pytest.approx(lens)
 
 
 def test_a_folder_without_cameras_names_what_is_expected(tmp_path):
@@ -49,35 +48,21 @@ def test_a_folder_without_cameras_names_what_is_expected(tmp_path):
 
 
 def test_transforms_json_is_read_with_opencv_axes(tmp_path):
-    frame = {
-        "file_path": "a.png",
-        "transform_matrix": np.diag([1.0, -1, -1, 1]).tolist(),
-    }
-    content = {
-        "w": 96,
-        "h": 64,
-        "fl_x": 80,
-        "fl_y": 80,
-        "cx": 48,
-        "cy": 32,
-        "frames": [frame],
-    }
-    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    pose = np.diag([1.0, -1, -1, 1]).tolist()
+    frames = [{"file_path": "a.png", "transform_matrix": pose}]
+    lens = {"w": 96, "h": 64, "fl_x": 80, "fl_y": 80, "cx": 48, "cy": 32}
+    (tmp_path / "transforms.json").write_text(json.dumps(lens | {"frames": frames}))
     assert np.allclose(read_posed_folder(tmp_path).cameras[0].c2w, np.eye(4))
 
 
 def test_true_geometry_in_another_unit_scores_well(folder, wall):
-    score = score_scene(
-        photo_scene(folder, (0, 2, 1), 48),
-        "novel view",
-        partial(novel_view, wall.Known(folder), build("rasterizer", "torch")),
-    )
+    measure = partial(novel_view, wall.Known(folder), build("rasterizer", "torch"))
+    score = score_scene(photo_scene(folder, (0, 2, 1), 48), "novel view", measure)
     figures = score.figures
-    assert score.degrees == pytest.approx(8)
+    assert score.degrees == pytest.approx(8) and not score.failure
     assert figures["rotation_error"] < 0.01 and figures["direction_error"] < 0.05
-    assert figures["covered_psnr"] - figures["covered_blurred_psnr"] > 3
+    assert figures["psnr"] > figures["blurred_psnr"]
     assert 0.7 < figures["coverage"] < 1
-    assert not score.failure
 
 
 def test_a_failure_is_a_row_not_a_stop(folder, wall):
@@ -87,26 +72,15 @@ def test_a_failure_is_a_row_not_a_stop(folder, wall):
     score = score_scene(scene, "novel view", figures)
     assert score.failure == "nothing in common."
     table = as_markdown([score])
-    assert (
-        "| wall | 1 | 1 |" in table and "0.png and 2.png: nothing in common." in table
-    )
+    assert "| wall | 1 | 1 |" in table
+    assert "0.png and 2.png: nothing in common." in table
     assert as_records([score])[0]["failure"] == score.failure
 
 
 def test_the_command_writes_a_table(folder, tmp_path, capsys):
     out = tmp_path / "scores.json"
-    options = [
-        "--recon",
-        "classical",
-        "--rasterizer",
-        "numba",
-        "--size",
-        "64",
-        "--pairs",
-        "1",
-        "--quiet",
-    ]
-    assert main(["evaluate", str(folder.path), *options, "--out", str(out)]) == 0
+    options = "--recon classical --rasterizer numba --size 64 --pairs 1 --quiet"
+    assert main(f"evaluate {folder.path} {options} --out {out}".split()) == 0
     assert "| all pairs | 1 |" in capsys.readouterr().out
     assert json.loads(out.read_text())[0]["scene"] == "wall"
 
@@ -135,10 +109,9 @@ class Carries(Reconstructor):
     def __init__(self, scene, carries):
         lifted = build("reconstructor", "classical")
         self.posed = WithMatcher(lifted, build("matcher", "posed"))
-        poses = np.stack(
-            [relative_pose(photo, scene.inputs[0]) for photo in scene.inputs]
-        )
-        self.c2w, self.carries = torch.from_numpy(poses).float()[None], carries
+        poses = [relative_pose(photo, scene.inputs[0]) for photo in scene.inputs]
+        self.c2w = torch.from_numpy(np.stack(poses)).float()[None]
+        self.carries = carries
         self.edited = views_of(scene.edited[:2]).images
 
     def __call__(self, views, source=None, geometry=None, grid=None):
@@ -149,13 +122,8 @@ class Carries(Reconstructor):
 
 @pytest.fixture(scope="module")
 def edited_scene():
-    settings = {
-        "image_size": 64,
-        "targets": 1,
-        "edit": "recolor",
-        "seed": 4,
-        "angles": (5, 10),
-    }
+    settings = {"image_size": 64, "targets": 1, "edit": "recolor", "seed": 4}
+    settings["angles"] = (5, 10)
     options = SceneOptions(1, 64, {"procedural": settings})
     return find_scenes("procedural", options, default_registry())[0].load()
 
@@ -165,62 +133,40 @@ def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
     carries = Carries(edited_scene, True)
     score = carried_edit(carries, build("rasterizer", "numba"), edited_scene)
     assert score["uptake"] > 0.8 and score["error"] < 0.3 and score["leak"] < 0.01
-    assert score["disagreement"] < 0.2 and score["kept"] > 0.7
+    assert score["disagreement"] < 0.2
 
 
 @pytest.mark.slow
 def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
     carries = Carries(edited_scene, False)
     score = carried_edit(carries, build("rasterizer", "numba"), edited_scene)
-    names = ("uptake", "error", "leak", "disagreement", "kept")
-    assert tuple(score[name] for name in names) == (0, 1, 0, 0, 0)
+    names = ("uptake", "error", "leak", "disagreement")
+    assert tuple(score[name] for name in names) == (0, 1, 0, 0)
 
 
 def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
-    with pytest.raises(
-        InputError,
-        match="nowhere: no such folder of photos, and no dataset named 'nowhere'",
-    ):
+    sentence = "nowhere: no such folder of photos, and no dataset named 'nowhere'"
+    with pytest.raises(InputError, match=sentence):
         find_scenes("nowhere", SceneOptions(1, 32), default_registry())
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (
-            ["--pairs", "0"],
-            "evaluate.pairs: input should be greater than or equal to 1, got 0",
-        ),
-        (["--out", "scores.csv"], "ends in .md or .json"),
-        (
-            ["--set", "editor.steps=3"],
-            "evaluate.editor: unknown setting",
-        ),
+        ("--pairs 0", "evaluate.pairs: input should be greater than or equal to 1"),
+        ("--out scores.csv", "ends in .md or .json"),
+        ("--set editor.steps=3", "evaluate.editor: unknown setting"),
     ],
 )
 def test_wrong_use_of_the_command_is_one_sentence(folder, options, sentence, capsys):
-    assert main(["evaluate", str(folder.path), "--recon", "classical", *options]) == 2
+    asked = f"evaluate {folder.path} --recon classical {options}"
+    assert main(asked.split()) == 2
     assert sentence in capsys.readouterr().err
 
 
-@pytest.fixture
-def picture():
-    return np.random.default_rng(0).random((32, 40, 3)).astype(np.float32)
-
-
-def test_best_blurred_copy_finds_photo_and_blur(picture):
-    other = np.random.default_rng(1).random(picture.shape).astype(np.float32)
-    best_psnr, best_ssim = best_blurred_copy(
-        (other, picture), gaussian_filter(picture, (2, 2, 0))
-    )
+def test_best_blurred_copy_finds_photo_and_blur():
+    other, picture = np.random.default_rng(1).random((2, 32, 40, 3)).astype(np.float32)
+    blurred = gaussian_filter(picture, (2, 2, 0))
+    best_psnr, best_ssim = best_blurred_copy((other, picture), blurred)
     # that very blur was among those tried
     assert math.isinf(best_psnr) and best_ssim == pytest.approx(1)
-
-
-def test_best_blurred_copy_can_count_covered_pixels_alone(picture):
-    covered = np.zeros((32, 40), bool)
-    covered[:, :20] = True
-    target = picture.copy()
-    target[:, 20:] = 0
-    assert math.isinf(best_blurred_copy([picture], target, covered)[0])
-    assert best_blurred_copy([picture], target)[0] < 20

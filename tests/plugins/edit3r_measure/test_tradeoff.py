@@ -7,10 +7,10 @@ import pytest
 import yaml
 from edit3r_measure import tradeoff_measure
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
-from edit3r_measure.tradeoff_measure import measure_points
-from edit3r_measure.tradeoff_plan import read_plan
-from edit3r_measure.tradeoff_report import (
+from edit3r_measure.tradeoff import read_plan
+from edit3r_measure.tradeoff_measure import (
     choose_presets,
+    measure_points,
     measured_points,
     report,
     summarize,
@@ -85,7 +85,7 @@ def sources(folder):
     photos = (folder.load(0, 8), folder.load(2, 8))
     files = ("0", "2", "1")
     scene = EvaluationScene("wall", "photos", files, photos, (folder.load(1, 8),))
-    return [SceneSource("wall", "photos", lambda: scene)]
+    return [SceneSource("wall", lambda: scene)]
 
 
 @pytest.fixture
@@ -168,7 +168,7 @@ def test_the_command_measures_runs_and_says_which_failed(
     assert base["seconds_first"] > 0
     assert len(base["seconds"]) == 1
     table = (out / "tradeoff.md").read_text()
-    assert "| base |" in table
+    assert "| procedural | base |" in table
     assert "wrong failed on procedural" in table
     # The same again resumes; one point is no choice.
     assert main(f"{command} --out {out} --update-presets".split()) == 2
@@ -197,15 +197,13 @@ def test_a_point_has_the_quickest_repeats_and_means_over_the_scenes():
 
 def test_lpips_is_in_the_table_or_said_to_be_not_measured():
     def cells(*rows):
-        last = report(summarize(rows, {}), rows).splitlines()[-1]
+        *_, last = report(summarize(rows, {}), rows).rstrip().splitlines()
         return last.strip("| ").split(" | ")[-2:]
 
     about = {"day": "2026-11-28"}
     assert cells(row(**about)) == ["0.500", "not measured"]
-    assert cells(row(lpips=0.1, **about), row(scene="t", lpips=0.3, **about)) == [
-        "0.500",
-        "0.200",
-    ]
+    both = row(lpips=0.1, **about), row(scene="t", lpips=0.3, **about)
+    assert cells(*both) == ["0.500", "0.200"]
 
 
 def test_a_point_that_failed_or_lacks_a_scene_is_left_out():
@@ -219,15 +217,9 @@ def rated(name, seconds, psnr, other=None, size=8):
     second.
     """
     pairs = {"a": (seconds, psnr), "b": other or (seconds, psnr)}
+    rest = dict.fromkeys(("seconds_first", "memory_mb", "gaussians", "ssim"), 1)
     expected = {
-        kind: Expected(
-            seconds=own[0],
-            psnr=own[1],
-            seconds_first=1,
-            memory_mb=1,
-            gaussians=1,
-            ssim=1,
-        )
+        kind: Expected(seconds=own[0], psnr=own[1], **rest)
         for kind, own in pairs.items()
     }
     return MeasuredPoint(label=name, settings={"size": size}, expected=expected)

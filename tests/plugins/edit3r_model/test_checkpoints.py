@@ -1,17 +1,13 @@
 """Weight files: every supported format in, every misfit named, and our own format out and back."""
 
 import argparse
-import json
 import math
 import pickle
-import sys
 
 import pytest
 import torch
 from edit3r_model import OFFICIAL
 from edit3r_model.checkpoints import LoadedWeights, load_weights, with_parts_of
-from edit3r_model.convert import convert
-from edit3r_model.hub import is_hub_id
 from edit3r_model.network import built
 from edit3r_model.official_checkpoints import infer_parts, is_unused, official_names
 from noposplat_reference import FULL, Sizes, official_shapes, random_state
@@ -200,9 +196,8 @@ def test_a_checkpoint_of_something_else_says_what_was_expected(tmp_path):
 def test_heads_that_shapes_do_not_show_must_be_said_and_fit_the_file(
     tmp_path, checkpoint
 ):
-    with pytest.raises(
-        SettingsError, match="48 channels cannot be split into heads of"
-    ):
+    said = "48 channels cannot be split into heads of"
+    with pytest.raises(SettingsError, match=said):
         edit3r.build("reconstructor", "noposplat", weights=str(checkpoint))
     with pytest.raises(SettingsError, match="64 channels in 3 heads"):
         build(checkpoint, backbone={"heads": 3})
@@ -221,48 +216,6 @@ def test_sizes_the_user_insists_on_are_checked_against_the_file(checkpoint):
         build(checkpoint, backbone={"width": 128})
 
 
-@pytest.mark.slow
-def test_conversion_keeps_every_value_and_needs_no_further_settings(
-    tmp_path, checkpoint
-):
-    convert(str(checkpoint), tmp_path / "ours", resolution=64, heads=HEADS)
-    about = json.loads((tmp_path / "ours" / "config.json").read_text())
-    assert about["provenance"]["kind"] == "noposplat"
-    made = edit3r.build("reconstructor", "edit3r", weights=str(tmp_path / "ours"))
-    assert made.form.resolution == 64 and made.network.backbone.heads == 2
-    expected = build(checkpoint).network.state_dict()
-    for key, value in made.network.state_dict().items():
-        assert torch.equal(value, expected[key]), key
-    with pytest.raises(InputError, match="the same"):
-        convert(str(tmp_path / "ours"), tmp_path / "ours")
-
-
-def test_the_convert_command_writes_half_size_bf16(tmp_path, checkpoint, capsys):
-    out = tmp_path / "b"
-    options = ["--dtype", "bfloat16", "--heads", "2", "--decoder-heads", "3"]
-    assert main(["convert", str(checkpoint), str(out), *options]) == 0
-    assert "parameters in bfloat16" in capsys.readouterr().out
-    dtypes = {value.dtype for value in load_weights(out).tensors.values()}
-    assert dtypes == {torch.bfloat16}
-
-
-def test_hub_ids_are_told_from_paths(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "weights" / "ours").mkdir(parents=True)
-    for hub in ("owner/name@0123abc", "owner/name@main:re10k.ckpt", "owner/name"):
-        assert is_hub_id(hub)
-    for path in ("weights/re10k.ckpt", "/abs/path", "m.safetensors", "weights/ours"):
-        assert not is_hub_id(path)
-
-
-def test_a_hub_id_needs_a_revision_and_the_library(monkeypatch):
-    with pytest.raises(InputError, match="pinned revision"):
-        load_weights("owner/name")
-    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(MissingDependencyError, match="pip install huggingface_hub"):
-        load_weights("owner/name@main")
-
-
 TINY = """
 trainer: {name: recolor, steps: 1, batch: 1, validate_every: 1}
 reconstructor:
@@ -278,23 +231,15 @@ losses: {mse: {weight: 1.0}}
 
 
 @pytest.mark.slow
-def test_what_is_trained_is_used_and_converted_without_further_settings(
-    tmp_path, capsys
-):
+def test_what_is_trained_is_used_without_further_settings(tmp_path):
     """No default and no shape tells the sizes of this network."""
     (tmp_path / "tiny.yaml").write_text(TINY)
     assert main(["train", str(tmp_path / "tiny.yaml"), "--out", str(tmp_path)]) == 0
-    assert main(["convert", str(tmp_path / "best"), str(tmp_path / "ours")]) == 0
     stored = load_weights(tmp_path / "best").tensors
     with pytest.raises(InputError, match=r"its weights are in .*best"):
         load_weights(tmp_path / "last.pt")
-    given = (
-        ("edit3r", "best"),
-        ("noposplat", "best"),
-        ("edit3r", "ours"),
-        ("edit3r", ""),
-    )
-    for name, folder in given:  # "": that of the training
+    # "": that of the training
+    for name, folder in (("edit3r", "best"), ("noposplat", "best"), ("edit3r", "")):
         weights = str(tmp_path / folder)
         made = edit3r.build("reconstructor", name, weights=weights)
         assert made.form.resolution == 32 and made.network.backbone.decoder_heads == 8

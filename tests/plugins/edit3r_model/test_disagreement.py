@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -35,17 +37,16 @@ def test_stride_gives_one_map_a_cell():
 
 
 SIZE = (40, 48)
-PAIR = (
-    torch.nn.functional.interpolate(torch.rand(1, 6, 10, 12), SIZE, mode="bicubic")
-    .clamp(0, 1)
-    .unflatten(1, (2, 3))
-)
+PAIR = F.interpolate(torch.rand(1, 6, 10, 12), SIZE, mode="bicubic")
+PAIR = PAIR.clamp(0, 1).unflatten(1, (2, 3))
 PAIR[:, 1] = PAIR[:, 0]  # one scene, seen twice from the same place
 SAME_PLACE = Correspondences(
     pixel_grid(SIZE, PAIR).expand(1, 2, *SIZE, 2),
     torch.ones(1, 2, *SIZE),
     torch.zeros(1, 2, *SIZE),
 )
+# the reference shows no place of the other view
+ELSEWHERE = replace(SAME_PLACE, inside=torch.zeros(1, 2, *SIZE))
 OBJECT = torch.zeros(1, 1, *SIZE)
 OBJECT[..., 10:30, 12:36] = 1
 
@@ -99,11 +100,7 @@ def test_what_the_reference_shows_unedited_disagrees_although_the_function_is_th
     edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[..., 38:]
     gap = _gap(edited, PAIR, SAME_PLACE)[:, 1]
     assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
-    elsewhere = Correspondences(
-        SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
-    )
-    # the reference does not show the place
-    assert not _gap(edited, PAIR, elsewhere)[:, 1].any()
+    assert not _gap(edited, PAIR, ELSEWHERE)[:, 1].any()
 
 
 def test_what_the_view_left_unedited_where_the_reference_did_not_disagrees_too():
@@ -138,8 +135,8 @@ def _conflict(edited, matches=SAME_PLACE):
     views = _views(edited, PAIR, matches)
     conflict = edits_conflict(views, edits_disagree(views))
     assert not conflict[:, 0].any()
-    core = -torch.nn.functional.max_pool2d(-OBJECT[:, 0], 3, 1, 1) > 0
-    away = torch.nn.functional.max_pool2d(OBJECT[:, 0], 5, 1, 2) == 0
+    core = -F.max_pool2d(-OBJECT[:, 0], 3, 1, 1) > 0
+    away = F.max_pool2d(OBJECT[:, 0], 5, 1, 2) == 0
     return conflict[:, 1][core].mean().item(), conflict[:, 1][away].mean().item()
 
 
@@ -162,16 +159,10 @@ def test_an_unedited_view_keeps_its_opacity_and_one_that_was_edited_elsewhere_gi
 
 
 def test_nothing_gives_way_where_the_reference_does_not_show_the_place():
-    outside = Correspondences(
-        SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
-    )
-    assert _conflict(CONTRARY, outside)[0] == 0
+    assert _conflict(CONTRARY, ELSEWHERE)[0] == 0
+    flipped = replace(SAME_PLACE, coordinates=SAME_PLACE.coordinates.flip(3))
     behind, before = (
-        Correspondences(
-            SAME_PLACE.coordinates.flip(3),
-            SAME_PLACE.inside,
-            torch.full((1, 2, *SIZE), ratio),
-        )
+        replace(flipped, depth_ratio=torch.full((1, 2, *SIZE), ratio))
         for ratio in (0.3, -0.3)
     )
     assert _conflict(CONTRARY, behind)[0] < 0.5 < _conflict(CONTRARY, before)[0]
@@ -199,12 +190,8 @@ def test_borders_that_mix_two_colours_of_an_edit_that_ends_at_white_are_no_disag
 
 def test_scenes_of_a_batch_do_not_mix():
     edits = [_edited(_warmer, _warmer), _edited(_warmer, lambda image: 1 - image)]
-    matches = Correspondences(
-        *(
-            getattr(SAME_PLACE, n).expand(2, *[-1] * (getattr(SAME_PLACE, n).ndim - 1))
-            for n in ("coordinates", "inside", "depth_ratio")
-        )
-    )
+    fields = vars(SAME_PLACE).items()
+    matches = Correspondences(**{name: torch.cat((x, x)) for name, x in fields})
     together = _gap(torch.cat(edits), PAIR.expand(2, -1, -1, -1, -1), matches)
     alone = torch.cat([_gap(edit, PAIR, SAME_PLACE) for edit in edits])
     assert torch.allclose(together, alone, atol=1e-5)
@@ -215,20 +202,13 @@ DARKER = torch.tensor([0.6, 0.7, 0.8])[:, None, None]
 
 def test_photos_of_one_exposure_have_one_look_exactly():
     none = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1)
-    noisy = PAIR + 0.02 * torch.randn(
-        PAIR.shape, generator=torch.Generator().manual_seed(1)
-    )
-    outside = Correspondences(
-        SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
-    )
-    for photos, matches in (
-        (PAIR, SAME_PLACE),
-        (noisy, SAME_PLACE),
-        (torch.cat((PAIR[:, :1], 0.5 * PAIR[:, 1:]), 1), outside),
-    ):
-        assert (
-            find_exposure(photos, matches, torch.ones(1, 2, *SIZE) > 0) == none
-        ).all()
+    draw = torch.Generator().manual_seed(1)
+    noisy = PAIR + 0.02 * torch.randn(PAIR.shape, generator=draw)
+    darker = torch.cat((PAIR[:, :1], 0.5 * PAIR[:, 1:]), 1)
+    cases = (PAIR, SAME_PLACE), (noisy, SAME_PLACE), (darker, ELSEWHERE)
+    for photos, matches in cases:
+        looks = find_exposure(photos, matches, torch.ones(1, 2, *SIZE) > 0)
+        assert (looks == none).all()
 
 
 def test_exposure_and_white_balance_are_read_although_a_fifth_of_the_matches_is_wrong():
@@ -246,13 +226,10 @@ def test_edits_are_compared_as_if_all_photos_had_one_exposure():
     """
     plain = 0.4 + 0.2 * PAIR
     photos = torch.cat((plain[:, :1], DARKER * plain[:, 1:]), 1)
-    tint = (
-        0.3 * torch.tensor([1.0, -1.0, 0.5])[:, None, None] * photos * OBJECT[:, None]
-    )
-    alike, contrary = (
-        photos + tint,
-        photos + tint * torch.tensor([1.0, -1.0])[:, None, None, None],
-    )
+    way = torch.tensor([1.0, -1.0, 0.5])[:, None, None]
+    tint = 0.3 * way * photos * OBJECT[:, None]
+    alike = photos + tint
+    contrary = photos + tint * torch.tensor([1.0, -1.0])[:, None, None, None]
     assert not _gap(alike, photos, SAME_PLACE).any()
     assert (_gap(contrary, photos, SAME_PLACE)[:, 1][OBJECT[:, 0] > 0] == 1).all()
 
@@ -275,6 +252,5 @@ def test_a_filter_of_photos_of_different_white_balance_is_one_function_of_colour
 def test_one_paint_on_photos_of_different_white_balance_is_one_function_of_colour():
     photos = torch.cat((PAIR[:, :1], (0.3 * DARKER + 0.7) * PAIR[:, 1:]), 1)
     paint = torch.tensor([0.95, 0.1, 0.9])[:, None, None]
-    assert not _gap(
-        photos + OBJECT[:, None] * (paint - photos), photos, SAME_PLACE
-    ).any()
+    painted = photos + OBJECT[:, None] * (paint - photos)
+    assert not _gap(painted, photos, SAME_PLACE).any()

@@ -83,6 +83,23 @@ def test_convex_upsampling_stays_between_neighbours_and_picks_the_one_it_is_told
     assert torch.allclose(convex_upsample(values, logits), nearest)
 
 
+def fused(photos, edited, maps, choice=1, inside=0.0, seen=1.0):
+    """The second of two views from one place; all of the choice is the carried map, or with 2 the
+    reference's colour.
+    """
+    size = photos[0].shape[1:]
+    share = torch.zeros(1, 2, 3, *size)
+    share[:, 1, choice] = 1
+    same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
+    places = pixel_grid(size, photos[0]).expand(1, 2, -1, -1, -1)
+    none, everywhere = torch.zeros(1, 2, *size), torch.ones(1, 2, *size)
+    matches = Correspondences(places, none + inside, none)
+    edited, source = torch.stack(edited)[None], torch.stack(photos)[None]
+    views = EditedViews.of(edited, source, same, matches)
+    choices = Choices(same, maps, share)
+    return fuse_colours(views, choices, everywhere, none + seen)[0, 1]
+
+
 def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     """A dark hole was painted green, the darker the more. Bright bark beside it must not turn
     pink.
@@ -93,24 +110,9 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     maps = torch.zeros(1, 2, 12, 4, 4)
     # The same function of green: 0.6 - 2 * 0.7 = -0.8 on the bark.
     maps[:, 1, 4], maps[:, 1, 10] = -2, 0.6
-    choice = torch.zeros(1, 2, 3, 4, 4)
-    choice[:, 1, 1] = 1
-    none = torch.zeros(1, 2, 4, 4)
-    same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
-    choices = Choices(same, maps, choice)
-    places = pixel_grid((4, 4), hole).expand(1, 2, -1, -1, -1)
-    matches = Correspondences(places, none, none)
-
-    def fused(view_1):
-        source = torch.stack((hole, view_1))[None]
-        edited = torch.stack((green, view_1))[None]
-        views = EditedViews.of(edited, source, same, matches)
-        everywhere = torch.ones_like(none)
-        return fuse_colours(views, choices, everywhere, seen=everywhere)[0, 1]
-
     bark = torch.full((3, 4, 4), 0.7)
-    assert torch.equal(fused(bark), bark)
-    assert torch.allclose(fused(hole), green, atol=1e-6)
+    assert torch.equal(fused((hole, bark), (green, bark), maps), bark)
+    assert torch.allclose(fused((hole, hole), (green, hole), maps), green, atol=1e-6)
 
 
 def test_the_share_of_the_reference_s_colour_goes_to_the_map_where_it_shows_no_edit():
@@ -120,19 +122,9 @@ def test_the_share_of_the_reference_s_colour_goes_to_the_map_where_it_shows_no_e
     edited[..., :12] += 0.4
     maps = torch.zeros(1, 2, 12, 4, 24)
     maps[:, 1, 9:] = 0.2  # the carried change of each channel, everywhere
-    choice = torch.zeros(1, 2, 3, 4, 24)
-    choice[:, 1, 2] = 1
-    none = torch.zeros(1, 2, 4, 24)
-    same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
-    choices = Choices(same, maps, choice)
-    places = pixel_grid((4, 24), photo).expand(1, 2, -1, -1, -1)
-    matches = Correspondences(places, torch.ones_like(none), none)
-    source = torch.stack((photo, photo))[None]
-    views = EditedViews.of(torch.stack((edited, photo))[None], source, same, matches)
-    everywhere = torch.ones_like(none)
-    fused = fuse_colours(views, choices, everywhere, seen=everywhere)[0, 1]
-    assert torch.allclose(fused[..., :8], edited[..., :8], atol=1e-5)
-    assert torch.allclose(fused[..., 18:], photo[..., 18:] + 0.2, atol=1e-5)
+    shown = fused((photo, photo), (edited, photo), maps, choice=2, inside=1.0)
+    assert torch.allclose(shown[..., :8], edited[..., :8], atol=1e-5)
+    assert torch.allclose(shown[..., 18:], photo[..., 18:] + 0.2, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -148,19 +140,8 @@ def test_nothing_carried_takes_no_edit_back_where_the_reference_shows_nothing(
 ):
     """The view made all of itself brighter; all of the choice is the carried map."""
     photo = torch.full((3, 4, 4), 0.3)
-    reference = photo + carried
     maps = torch.zeros(1, 2, 12, 4, 4)
     maps[:, 1, 9:] = carried
-    choice = torch.zeros(1, 2, 3, 4, 4)
-    choice[:, 1, 1] = 1
-    none = torch.zeros(1, 2, 4, 4)
-    same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
-    choices = Choices(same, maps, choice)
-    places = pixel_grid((4, 4), photo).expand(1, 2, -1, -1, -1)
-    matches = Correspondences(places, none, none)
-    source = torch.stack((photo, photo))[None]
-    edited = torch.stack((reference, photo + 0.2))[None]
-    views = EditedViews.of(edited, source, same, matches)
-    near = torch.ones_like(none)
-    fused = fuse_colours(views, choices, near, torch.full_like(none, seen))[0, 1]
-    assert torch.allclose(fused, torch.full_like(fused, expected), atol=1e-5)
+    edited = photo + carried, photo + 0.2
+    shown = fused((photo, photo), edited, maps, seen=seen)
+    assert torch.allclose(shown, torch.full_like(shown, expected), atol=1e-5)

@@ -1,4 +1,4 @@
-"""The choice of precision, and int8 layers and strips against the plain ones they replace."""
+"""The choice of precision, and strips against the whole maps that they replace."""
 
 import itertools
 from functools import partial
@@ -7,17 +7,9 @@ import pytest
 import torch
 from edit3r_model.dpt_head import double, in_strips, resized_rows, with_border
 from edit3r_model.engine import EnginePlan, bfloat16_gain, make_plan
-from edit3r_model.int8_layers import (
-    Int8Conv,
-    Int8Linear,
-    quantise_input,
-    quantise_weight,
-    weight_levels,
-)
 from torch import nn
 
 import edit3r
-from edit3r.contract.errors import SettingsError
 from edit3r.contract.reporting import Report, collecting
 
 CPU = torch.device("cpu")
@@ -27,47 +19,6 @@ CPU = torch.device("cpu")
 def _without_gradients():
     with torch.no_grad():
         yield
-
-
-@pytest.mark.parametrize("shift", [0.0, 30.0, -30.0])
-def test_int8_linear_errs_by_about_a_percent_of_its_range(shift):
-    linear, x = nn.Linear(128, 96), torch.randn(40, 128) + shift
-    expected = linear(x)
-    error = (Int8Linear(linear)(x) - expected).norm() / expected.norm()
-    assert error < (0.02 if shift == 0 else 0.04)
-
-
-@pytest.mark.parametrize(
-    "size", [(12, 12), (1, 1), (1, 7)]
-)  # one pixel has every layout at once
-def test_int8_conv_errs_by_about_a_percent_whatever_the_inputs_scale(size):
-    conv = nn.Conv2d(64, 64, 3, padding=1)
-    for scale in (1e-3, 1.0, 1e3):
-        x = scale * torch.randn(1, 64, *size)
-        bias_free = nn.functional.conv2d(x, conv.weight, padding=1)
-        error = Int8Conv(conv)(x) - conv.bias[:, None, None] - bias_free
-        assert error.norm() / bias_free.norm() < 0.02
-
-
-def test_quantised_inputs_never_wrap_around():
-    ranges = torch.tensor([[0.0, 0.0], [-3.0, -1.0], [2.0, 7.0]])
-    for x in (*ranges, 100 * torch.randn(1000)):
-        values, scale, zero = quantise_input(x)
-        assert 0 <= zero <= 255
-        assert ((values.float() - zero) * scale - x).abs().max() <= 0.51 * scale + 1e-6
-
-
-def test_weights_of_a_silent_channel_quantise_to_zero():
-    weight, scales = quantise_weight(torch.tensor([[0.0, 0.0], [2.0, -2.0]]))
-    levels = weight_levels()
-    assert weight.tolist() == [[0, 0], [levels, -levels]]
-    assert scales.isfinite().all()
-
-
-def test_the_largest_values_and_weights_do_not_overflow():
-    linear, x = nn.Linear(128, 96), torch.full((8, 128), 255.0)
-    linear.weight.fill_(1.0)
-    torch.testing.assert_close(Int8Linear(linear)(x), linear(x), rtol=0.005, atol=0)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 8, 100])
@@ -114,14 +65,6 @@ def test_auto_takes_bfloat16_only_where_it_was_measured_to_be_faster(
     assert make_plan("auto", "auto", CPU) == EnginePlan(chosen, chosen)
 
 
-@pytest.mark.parametrize(("faster", "chosen"), [(0.25, "int8"), (2.0, "bfloat16")])
-def test_heads_beside_int8_are_bfloat16_only_where_it_was_measured_to_be_faster(
-    faster, chosen, gain
-):
-    gain(faster)
-    assert make_plan("int8", "auto", CPU) == EnginePlan("int8", chosen)
-
-
 def test_bfloat16_gives_way_to_float32_where_it_is_slower_and_the_run_says_so(gain):
     gain(0.25)
     with collecting(Report()) as report:
@@ -138,7 +81,7 @@ def test_the_gain_is_a_ratio_of_times(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("head", ["auto", "float32", "bfloat16"])
-@pytest.mark.parametrize("backbone", ["float32", "bfloat16", "int8"])
+@pytest.mark.parametrize("backbone", ["float32", "bfloat16"])
 def test_any_precision_of_the_head_goes_with_any_of_the_backbone(backbone, head, gain):
     gain(2.0)
     built = edit3r.build(
@@ -153,8 +96,3 @@ def test_any_precision_of_the_head_goes_with_any_of_the_backbone(backbone, head,
     images = torch.rand(1, 2, 3, 32, 32)
     gaussians = built.network(images, torch.eye(3).expand(1, 2, 3, 3))
     assert gaussians.means.dtype == torch.float32 and gaussians.means.isfinite().all()
-
-
-def test_int8_is_for_processors():
-    with pytest.raises(SettingsError, match="int8 is for CPUs"):
-        make_plan("int8", "auto", torch.device("cuda"))

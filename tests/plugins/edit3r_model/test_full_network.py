@@ -9,7 +9,6 @@ from edit3r_model.network import built
 from edit3r_model.transformer import NORM_EPS, Mlp, layer_norm
 from noposplat_reference import Reference, to_gaussians
 
-from edit3r.contract.errors import InputError
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.geometry.rotations import covariances
 
@@ -144,16 +143,3 @@ def test_doubling_keeps_corners_and_a_linear_ramp():
     ramp = torch.linspace(0, 1, 5)[None, None, :, None].expand(1, 1, 5, 3)
     doubled = double(ramp)
     torch.testing.assert_close(doubled[0, 0, :, 0], torch.linspace(0, 1, 10))
-
-
-@pytest.mark.parametrize("shape", [(1, 2, 3, 40, 32), (1, 2, 3, 8, 32)])
-def test_sides_that_are_no_multiple_of_the_patch_are_an_error_with_the_size(
-    network, shape
-):
-    with pytest.raises(InputError, match=f"{shape[3]}x{shape[4]}"):
-        network(torch.rand(shape), torch.eye(3).repeat(1, 2, 1, 1))
-
-
-def test_one_view_is_an_error_that_asks_for_two(network):
-    with pytest.raises(InputError, match="at least 2 views"):
-        network(torch.rand(1, 1, 3, 32, 32), torch.eye(3)[None, None])

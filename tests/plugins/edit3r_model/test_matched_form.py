@@ -79,12 +79,10 @@ def test_surroundings_follow_a_head_of_other_than_one_gaussian_a_pixel(per_pixel
     assert made.per_pixel == per_pixel
     assert float(made.gaussians.opacities[:, 0]) > 0.3
     pixels = 2 * SIZE[0] * SIZE[1]
+    starts = pixels, pixels * max(per_pixel, 1)
     around, found = (
-        gaussians.select(torch.arange(first, gaussians.count))
-        for gaussians, first in (
-            (expected.gaussians, pixels),
-            (made.gaussians, pixels * max(per_pixel, 1)),
-        )
+        scene.select(torch.arange(start, scene.count))
+        for scene, start in zip((expected.gaussians, made.gaussians), starts)
     )
     for name in ("means", "opacities", "harmonics"):
         assert torch.allclose(getattr(found, name), getattr(around, name), atol=1e-5)
@@ -160,9 +158,7 @@ def test_an_edit_of_the_reference_alone_is_carried_to_the_other_views(shipped):
 
 
 LUMA = torch.tensor([0.299, 0.587, 0.114])
-SEPIA = torch.tensor(
-    [[0.393, 0.769, 0.189], [0.349, 0.686, 0.168], [0.272, 0.534, 0.131]]
-)
+SEPIA = torch.tensor([[393, 769, 189], [349, 686, 168], [272, 534, 131]]) / 1000
 
 
 def greyscale(images):
@@ -254,14 +250,10 @@ def opacities_of(edited: Views) -> torch.Tensor:
     views, none = views_of(), torch.zeros(1, 2, 12, *SIZE)
     same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, -1, 1, 1)
     own = torch.tensor([1.0, 0, 0]).view(3, 1, 1).expand(1, 2, 3, *SIZE)
-    made = assemble(
-        edited.images,
-        views,
-        TrueGeometry().match(views),
-        Decisions(none[:, :, :3], Choices(same, none, own)),
-        EditFusionHead.Settings(),
-        (edited.images, views.images),
-    )
+    decided = Decisions(none[:, :, :3], Choices(same, none, own))
+    given = edited.images, views, TrueGeometry().match(views), decided
+    settings = EditFusionHead.Settings()
+    made = assemble(*given, settings, (edited.images, views.images))
     return made.opacities.reshape(2, *SIZE)
 
 
@@ -269,10 +261,8 @@ def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
     agreeing, ball = recoloured(views_of(), (0, 1)), inside(1)
     images = agreeing.images.clone()
     images[:, 1] = torch.where(ball, 1 - images[:, 1], images[:, 1])
-    full, fallen = (
-        opacities_of(agreeing),
-        opacities_of(replace(agreeing, images=images)),
-    )
+    full = opacities_of(agreeing)
+    fallen = opacities_of(replace(agreeing, images=images))
     # The outlines in two views do not quite meet.
     core = -F.max_pool2d(-ball.float()[None, None], 9, 1, 4)[0, 0] > 0
     away = F.max_pool2d(SCENE.objects[1, 0, 1][None, None], 31, 1, 15)[0, 0] == 0

@@ -92,9 +92,8 @@ def test_a_file_that_names_no_parts_fills_those_of_the_settings(tmp_path):
     made = small(weights="untrained", **NARROW)
     save_weights(tmp_path / WEIGHTS, made.network.state_dict())
     assert same_weights(made, small(weights=str(tmp_path), **NARROW))
-    with pytest.raises(
-        InputError, match=r"these weights do not fit this network: .* wrong shape"
-    ):
+    said = r"these weights do not fit this network: .* wrong shape"
+    with pytest.raises(InputError, match=said):
         small(weights=str(tmp_path))
 
 
@@ -157,10 +156,9 @@ def test_parts_that_do_not_go_together_are_an_error(registry):
         registry.build("reconstructor", "edit3r", **head)
     with pytest.raises(SettingsError, match="use the reconstructor edit3r"):
         build("reconstructor", "noposplat", weights="shipped")
-    with pytest.raises(
-        SettingsError, match=r"reconstructor\.precision: applies only to"
-    ):
-        small(precision="int8")
+    said = r"reconstructor\.precision: applies only to"
+    with pytest.raises(SettingsError, match=said):
+        small(precision="bfloat16")
     unet = build("backbone", "matched-unet", width=8)
     assert type(unet) is MatchedUNet
     with pytest.raises(InputError, match="matched-unet needs geometry"):
@@ -174,39 +172,32 @@ class RedThenBlue(Editor):
         colours = torch.zeros(views.count, 3)
         colours[0, 0] = 1
         colours[1:, 2] = 1
-        return Views(
-            colours[None, ..., None, None].expand_as(views.images), views.intrinsics
-        )
+        images = colours[None, ..., None, None].expand_as(views.images)
+        return Views(images, views.intrinsics)
 
 
 @pytest.fixture(scope="module")
 def run_after_a_single_pass(registry):
     chosen = {"backbone": VIT, "head": "wall", "weights": "untrained"}
     recon = registry.build("reconstructor", "edit3r", **chosen)
-    editor = RedThenBlue()
-
-    def run(**asked):
-        return edit3r.run(
-            VIEWS, "x", editor=editor, recon=recon, report=Report(), **asked
-        )
-
-    return run
+    parts = {"editor": RedThenBlue(), "recon": recon}
+    return lambda **asked: edit3r.run(VIEWS, "x", **parts, report=Report(), **asked)
 
 
-def distance_to_the_reference_s_edit(result, gaussians) -> float:
-    """Of view 1's rendering."""
-    camera = result.cameras.select([1])
-    shown = build("rasterizer", "torch").render(gaussians, camera).images[0, 0]
-    inside = shown[:, 8:-8, 8:-8]
-    return float((inside - torch.tensor([1.0, 0, 0])[:, None, None]).abs().mean())
+def off_the_reference_s_edit(result) -> list[float]:
+    """How far view 1's rendering is, of what was reconstructed and of what is left of it."""
+    camera, red = result.cameras.select([1]), torch.tensor([1.0, 0, 0])[:, None, None]
+    made = result.records.reconstructed.reconstruction.gaussians
+    shown = (
+        build("rasterizer", "torch").render(scene, camera).images[0, 0, :, 8:-8, 8:-8]
+        for scene in (made, result.gaussians)
+    )
+    return [float((inside - red).abs().mean()) for inside in shown]
 
 
 def test_a_default_run_keeps_what_the_single_pass_fused(run_after_a_single_pass):
     result = run_after_a_single_pass()
-    raw = distance_to_the_reference_s_edit(
-        result, result.records.reconstructed.reconstruction.gaussians
-    )
-    shown = distance_to_the_reference_s_edit(result, result.gaussians)
+    raw, shown = off_the_reference_s_edit(result)
     assert raw == shown <= 0.01
     assert "kept as they are" in result.report.notes["refine.left_out"]
 
@@ -215,20 +206,16 @@ def test_refining_that_is_asked_for_follows_the_single_pass(run_after_a_single_p
     result = run_after_a_single_pass(refine=10)
     names = [stage.name for stage in result.report.stages]
     assert "refine" in names and "simplify" not in names
-    raw = distance_to_the_reference_s_edit(
-        result, result.records.reconstructed.reconstruction.gaussians
-    )
-    assert distance_to_the_reference_s_edit(result, result.gaussians) > raw + 0.01
+    raw, shown = off_the_reference_s_edit(result)
+    assert shown > raw + 0.01
 
 
 @pytest.mark.parametrize("size", [(32, 40), (40, 32), (0, 32)])
 def test_the_backbone_refuses_sides_that_are_no_multiples_of_its_patch(size):
-    backbone = build(
-        "backbone", "asymmetric-vit", **{k: VIT[k] for k in VIT if k != "name"}
-    )
-    with pytest.raises(
-        InputError, match=f"multiples of 16 pixels, got {size[0]}x{size[1]}"
-    ):
+    sizes = {name: value for name, value in VIT.items() if name != "name"}
+    backbone = build("backbone", "asymmetric-vit", **sizes)
+    said = f"multiples of 16 pixels, got {size[0]}x{size[1]}"
+    with pytest.raises(InputError, match=said):
         backbone(torch.zeros(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))
 
 
@@ -236,6 +223,5 @@ def test_a_decoder_that_is_too_shallow_for_four_levels_is_a_sentence():
     small = {"width": 64, "depth": 1, "decoder_width": 64}
     with pytest.raises(SettingsError, match=r"backbone\.decoder_depth: .* 3, got 2"):
         build("backbone", "asymmetric-vit", decoder_depth=2, **small)
-    assert build("backbone", "asymmetric-vit", decoder_depth=3, **small).hooks == (
-        *range(4),
-    )
+    made = build("backbone", "asymmetric-vit", decoder_depth=3, **small)
+    assert made.hooks == (0, 1, 2, 3)

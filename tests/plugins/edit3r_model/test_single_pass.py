@@ -98,7 +98,7 @@ def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(
     shared = {"dtype": dtype, "requires_grad": True}
     raw = torch.full((1, 2, 3, 2, 2), points, **shared)
     parameters = torch.full((1, 2, 83, 2, 2), attributes, **shared)
-    gaussians = adapt(raw, parameters, 0.001, 0.3, 4)
+    gaussians = adapt(raw, parameters, 0.001, 4)
     require_valid(gaussians)
     # A loss that is itself bounded, as float16 gradients must be.
     distance = gaussians.means.norm(dim=-1).log1p()
@@ -108,7 +108,7 @@ def test_raw_outputs_up_to_80_stay_bounded_with_finite_gradients(
 
 def test_zero_quaternions_mean_no_rotation_and_have_finite_gradients():
     parameters = torch.zeros(1, 1, 83, 1, 1, requires_grad=True)
-    gaussians = adapt(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 0.3, 4)
+    gaussians = adapt(torch.zeros(1, 1, 3, 1, 1), parameters, 0.001, 4)
     assert torch.equal(quats_to_matrices(gaussians.quats)[0, 0], torch.eye(3))
     covariances(gaussians.scales, gaussians.quats).sum().backward()
     assert parameters.grad.isfinite().all()
@@ -134,13 +134,6 @@ def test_dropout_counts_in_training_alone():
     assert not torch.allclose(
         dropping(photos(16, 16)).gaussians.opacities, opacities[0]
     )
-
-
-def test_int8_layers_in_training_mode_are_an_error_that_says_what_to_set():
-    fixed = build(precision="int8")
-    fixed.network.train()
-    with pytest.raises(SettingsError, match="precision=float32"):
-        fixed(photos(16, 16))
 
 
 def test_one_view_is_an_error_that_asks_for_another(reconstructor):
@@ -170,7 +163,7 @@ def test_every_precision_agrees_with_plain_layers(size, monkeypatch):
     monkeypatch.setattr("edit3r_model.engine.bfloat16_gain", lambda device: 2.0)
     wide = {"feature_width": 64, "point_width": 64, "layer_widths": (64, 64, 64, 64)}
     plain = build(head=wide)(photos(*size)).gaussians
-    for precision, most in {"float32": 1e-5, "bfloat16": 0.01, "int8": 0.05}.items():
+    for precision, most in {"float32": 1e-5, "bfloat16": 0.01}.items():
         fast = build(precision=precision, head=wide)(photos(*size)).gaussians
         require_valid(fast)
         for name in ("means", "scales", "opacities", "harmonics"):

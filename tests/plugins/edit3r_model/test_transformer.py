@@ -7,7 +7,7 @@ from edit3r_model.transformer import make_rotation, patch_positions
 
 
 def turned(x: torch.Tensor, *place: int) -> torch.Tensor:
-    return make_rotation(torch.tensor([place]), x.shape[-1], 100.0)(x)
+    return make_rotation(torch.tensor([place]), x.shape[-1])(x)
 
 
 def test_pairs_are_half_a_half_apart_and_rows_come_first():

@@ -29,9 +29,8 @@ class TrueDepth(Reconstructor):
         height, width = truth.depths[cut].shape[-2:]
         points = unproject(truth.depths, truth.cameras.intrinsics, truth.cameras.c2w)[0]
         points = points[:, :: self.every, :: self.every].reshape(1, -1, 3)
-        sizes = (
-            0.5 * self.every * truth.depths[cut].reshape(1, -1, 1) / views.image_size[1]
-        )
+        sizes = 0.5 * self.every * truth.depths[cut] / views.image_size[1]
+        sizes = sizes.reshape(1, -1, 1)
         quats = torch.zeros(*points.shape[:2], 4)
         quats[..., 0] = 1
         origin = torch.arange(views.count).repeat_interleave(height * width)
@@ -39,16 +38,9 @@ class TrueDepth(Reconstructor):
         opacities = torch.full(points.shape[:2], 0.8)
         scene = Gaussians(points, sizes.repeat(1, 1, 3), quats, opacities, grey, origin)
         batch = len(views.images)
-        fields = ("means", "scales", "quats", "opacities", "harmonics")
-        scene = replace(
-            scene,
-            **{
-                name: getattr(scene, name).repeat_interleave(batch, 0)
-                for name in fields
-            },
-        )
         c2w = truth.cameras.c2w.repeat_interleave(batch, 0)
-        return Reconstruction(scene, Cameras(c2w, views.intrinsics, views.image_size))
+        cameras = Cameras(c2w, views.intrinsics, views.image_size)
+        return Reconstruction(Gaussians.stack([scene] * batch), cameras)
 
 
 class CountingEditor(Editor):
@@ -88,14 +80,10 @@ def build(rasterizer, editor):
     """A method by name, quick: true depths to begin with, the counting editor, few steps."""
 
     def build(name: str, parts=(), **settings):
-        parts = {
-            "reconstructor": TrueDepth(),
-            "editor": editor,
-            "rasterizer": rasterizer,
-            **dict(parts),
-        }
+        own = {"reconstructor": TrueDepth(), "editor": editor, "rasterizer": rasterizer}
+        quick = {"steps": 6, "edit_steps": 6}
         return edit3r.build(
-            "reconstructor", name, parts, **{"steps": 6, "edit_steps": 6, **settings}
+            "reconstructor", name, own | dict(parts), **quick | settings
         )
 
     return build

@@ -67,12 +67,7 @@ def render(
     c2w = cameras.c2w[scene, camera].double().numpy()
     height, width = cameras.image_size
     matrix = cameras.intrinsics[scene, camera].double().numpy()
-    fx, cx, fy, cy = (
-        matrix[0, 0] * width,
-        matrix[0, 2] * width,
-        matrix[1, 1] * height,
-        matrix[1, 2] * height,
-    )
+    (fx, cx), (fy, cy) = matrix[0, [0, 2]] * width, matrix[1, [1, 2]] * height
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     image, depth = np.zeros((3, height, width)), np.zeros((height, width))
     left = np.ones((height, width))

@@ -45,9 +45,7 @@ def one(**changes) -> Gaussians:
         "opacities": 0.8,
         "harmonics": [[0.5, -0.2, 0.1]],
     } | changes
-    return Gaussians(
-        **{name: torch.tensor(values[name])[None, None] for name in FIELDS}
-    )
+    return Gaussians(*(torch.tensor(values[name])[None, None] for name in FIELDS))
 
 
 def cameras(
@@ -68,11 +66,8 @@ def cameras(
         poses.append(c2w)
     intrinsics = intrinsics_from_fov(fov, size).to(torch.float64)
     shape = (batch, count, -1, -1)
-    return Cameras(
-        torch.stack(poses)[None].expand(*shape),
-        intrinsics[None, None].expand(*shape),
-        size,
-    ).to(dtype)
+    c2w, lenses = torch.stack(poses)[None], intrinsics[None, None]
+    return Cameras(c2w.expand(*shape), lenses.expand(*shape), size).to(dtype)
 
 
 def assert_matches_naive(
@@ -93,18 +88,17 @@ def assert_matches_naive(
             assert solid.mean() >= 1 - most_fragile, (
                 f"only {solid.mean():.0%} of the pixels can be compared"
             )
-            image = rendering.images[scene, camera].detach().double().numpy()
-            alpha = rendering.alphas[scene, camera, 0].detach().double().numpy()
-            depth = rendering.depths[scene, camera, 0].detach().double().numpy()
-            peak = max(1.0, np.abs(truth.image).max())
-            assert (
-                np.abs(image - truth.image)[:, solid].max(initial=0) <= tolerance * peak
+            image, (alpha,), (depth,) = (
+                getattr(rendering, name)[scene, camera].detach().double().numpy()
+                for name in ("images", "alphas", "depths")
             )
+            peak = max(1.0, np.abs(truth.image).max())
+            off = np.abs(image - truth.image)[:, solid].max(initial=0)
+            assert off <= tolerance * peak
             assert np.abs(alpha - truth.alpha)[solid].max(initial=0) <= tolerance
             relative = np.abs(depth - truth.depth) / np.maximum(truth.depth, 1e-6)
-            assert relative[solid & (truth.alpha > 0)].max(initial=0) <= max(
-                1e-4, tolerance
-            )
+            off = relative[solid & (truth.alpha > 0)].max(initial=0)
+            assert off <= max(1e-4, tolerance)
 
 
 def assert_finite(rendering: Rendering) -> None:
@@ -121,18 +115,13 @@ def gradients(
 ) -> dict:
     """Gradient of a random weighting of all outputs by every field, background and camera."""
     draw = torch.Generator().manual_seed(seed)
-    leaves = {
-        name: getattr(gaussians, name).detach().clone().requires_grad_()
-        for name in FIELDS
-    }
-    background = background.detach().clone().to(gaussians.means).requires_grad_()
-    poses = {
-        name: getattr(views, name).detach().clone().requires_grad_()
-        for name in ("c2w", "intrinsics")
-    }
-    rendering = rasterizer.render(
-        Gaussians(**leaves), replace(views, **poses), background
+    leaves, poses = (
+        {name: getattr(whole, name).detach().clone().requires_grad_() for name in names}
+        for whole, names in ((gaussians, FIELDS), (views, ("c2w", "intrinsics")))
     )
+    background = background.detach().clone().to(gaussians.means).requires_grad_()
+    posed = replace(views, **poses)
+    rendering = rasterizer.render(Gaussians(**leaves), posed, background)
     total = 0.0
     for picture in (rendering.images, rendering.alphas, rendering.depths):
         weights = torch.randn(picture.shape, generator=draw, dtype=torch.float64)

@@ -4,7 +4,14 @@ against each other.
 
 import pytest
 import torch
-from raster_scenes import assert_matches_naive, cameras, cloud, gradients, one
+from raster_scenes import (
+    FIELDS,
+    assert_matches_naive,
+    cameras,
+    cloud,
+    gradients,
+    one,
+)
 
 import edit3r
 
@@ -41,21 +48,11 @@ def test_batches_render_each_scene_with_its_own_cameras(rasterizer):
 
 
 def test_settings_change_the_picture_as_they_say(rasterizer):
-    changed = {
-        "near_plane": 2.8,
-        "far_plane": 3.4,
-        "eps2d": 1.0,
-        "max_alpha": 0.7,
-        "background": (0.2, 0.5, 0.9),
-    }
+    changed = {"near_plane": 2.8, "far_plane": 3.4, "eps2d": 1.0, "max_alpha": 0.7}
+    changed["background"] = (0.2, 0.5, 0.9)
     scene, views = cloud(60), cameras()
-    name = rasterizer.offer.component.name
-    assert_matches_naive(
-        edit3r.build("rasterizer", name, **changed).render(scene, views),
-        scene,
-        views,
-        **changed,
-    )
+    other = edit3r.build("rasterizer", rasterizer.offer.component.name, **changed)
+    assert_matches_naive(other.render(scene, views), scene, views, **changed)
 
 
 def test_off_centre_and_anisotropic_intrinsics(rasterizer):
@@ -77,16 +74,13 @@ def test_a_pixel_ends_before_the_gaussian_that_would_take_it_below_the_least_tra
     ]
     rendering = rasterizer.render(edit3r.Gaussians.cat(layers), cameras((1, 1)))
     assert rendering.alphas.item() == pytest.approx(1 - 0.07**3, abs=1e-6)
-    assert rendering.depths.item() == pytest.approx(
-        (0.93 * (2 + 3 * 0.07 + 4 * 0.07**2)) / (1 - 0.07**3), rel=1e-5
-    )
+    depth = 0.93 * (2 + 3 * 0.07 + 4 * 0.07**2) / (1 - 0.07**3)
+    assert rendering.depths.item() == pytest.approx(depth, rel=1e-5)
 
 
 def test_mean_of_a_distant_wide_picture_is_placed_to_a_thousandth_of_a_pixel(numba):
-    scene, views = (
-        one(means=[0.9, 0.1, 2.0], scales=[1e-5] * 3),
-        cameras((8, 4000), fov=1.2),
-    )
+    scene = one(means=[0.9, 0.1, 2.0], scales=[1e-5] * 3)
+    views = cameras((8, 4000), fov=1.2)
     assert_matches_naive(numba.render(scene, views), scene, views)
 
 
@@ -128,38 +122,22 @@ def assert_gradients_agree(numba, reference, scene) -> None:
 
 @pytest.mark.slow
 def test_reference_gradients_agree_with_finite_differences(reference):
-    scene, views = (
-        cloud(3, degree=1, dtype=torch.float64),
-        cameras((3, 4), dtype=torch.float64),
-    )
+    scene = cloud(3, degree=1, dtype=torch.float64)
+    views = cameras((3, 4), dtype=torch.float64)
     background = torch.tensor([0.2, 0.5, 0.8], dtype=torch.float64)
 
-    def render(means, scales, quats, opacities, harmonics, background):
-        rendering = reference.render(
-            edit3r.Gaussians(means, scales, quats, opacities, harmonics),
-            views,
-            background,
-        )
+    def render(background, *fields):
+        rendering = reference.render(edit3r.Gaussians(*fields), views, background)
         return rendering.images, rendering.alphas, rendering.depths
 
-    inputs = [
-        scene.means,
-        scene.scales,
-        scene.quats,
-        scene.opacities,
-        scene.harmonics,
-        background,
-    ]
-    assert torch.autograd.gradcheck(
-        render, [value.requires_grad_() for value in inputs], atol=1e-5
-    )
+    inputs = [background, *(getattr(scene, name) for name in FIELDS)]
+    leaves = [value.requires_grad_() for value in inputs]
+    assert torch.autograd.gradcheck(render, leaves, atol=1e-5)
 
 
 def test_reference_chunks_change_nothing(reference, monkeypatch):
-    scene, views = (
-        cloud(200, dtype=torch.float64),
-        cameras((20, 20), dtype=torch.float64),
-    )
+    scene = cloud(200, dtype=torch.float64)
+    views = cameras((20, 20), dtype=torch.float64)
     whole = reference.render(scene, views).images
     monkeypatch.setattr("edit3r_rasterizers.torch_rasterizer.CHUNK", 7)
     assert torch.allclose(reference.render(scene, views).images, whole, atol=1e-12)
@@ -192,7 +170,6 @@ def test_contributions_are_alpha_in_sum_and_several_maps_give_what_each_gives(
     left[..., : views.image_size[1] // 2] = 1
     both = rasterizer.contributions(scene, views, torch.stack((left, 1 - left), 1))
     for index, weights in enumerate((left, 1 - left)):
-        assert torch.equal(
-            both[..., index], rasterizer.contributions(scene, views, weights)
-        )
+        expected = rasterizer.contributions(scene, views, weights)
+        assert torch.equal(both[..., index], expected)
     assert torch.allclose(both.sum(-1), alone, rtol=1e-3, atol=1e-4)

@@ -28,9 +28,8 @@ def made_for(name, *devices, requires=()):
     target = "edit3r_rasterizers.torch_rasterizer:TorchRasterizer"
     if name == "depths":
         target = f"{__name__}:DepthsAlone"
-    component = Component(
-        name, target, "a rasterizer", requires=requires, devices=devices
-    )
+    needs = {"requires": requires, "devices": devices}
+    component = Component(name, target, "a rasterizer", **needs)
     return Offer("rasterizer", component, "plugin", "1")
 
 
@@ -64,18 +63,14 @@ def test_auto_notes_its_choice_in_the_run_and_renders_like_it():
         found = edit3r.build("rasterizer", "auto", eps2d=0.5).render(scene, views)
     assert report.notes["rasterizer.picked"] == "numba"
     assert report.notes["rasterizer.reason"] == "made for cpu, where the Gaussians are"
-    assert torch.equal(
-        found.images,
-        edit3r.build("rasterizer", "numba", eps2d=0.5).render(scene, views).images,
-    )
+    numba = edit3r.build("rasterizer", "numba", eps2d=0.5)
+    assert torch.equal(found.images, numba.render(scene, views).images)
 
 
 def test_gsplat_without_cuda_says_what_to_use_instead(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(
-        MissingDependencyError,
-        match=r"'gsplat' (runs on|needs an NVIDIA GPU with) ",
-    ):
+    said = r"'gsplat' (runs on|needs an NVIDIA GPU with) "
+    with pytest.raises(MissingDependencyError, match=said):
         edit3r.build("rasterizer", "gsplat")
 
 
@@ -88,10 +83,8 @@ def test_gsplat_with_cuda_but_not_installed_says_how_to_install_it(monkeypatch):
 
 def test_gsplat_refuses_settings_its_kernels_cannot_follow(monkeypatch):
     _pretend_cuda(monkeypatch)
-    with pytest.raises(
-        SettingsError,
-        match=r"max_alpha: gsplat's kernels have 0\.999 built in, got 0.5",
-    ):
+    said = r"max_alpha: gsplat's kernels have 0\.999 built in, got 0.5"
+    with pytest.raises(SettingsError, match=said):
         GsplatRasterizer(GsplatRasterizer.Settings(max_alpha=0.5))
 
 
@@ -113,22 +106,14 @@ def test_gsplat_is_called_in_its_own_conventions(monkeypatch):
     scene, views = cloud(7, degree=2, batch=2), cameras((20, 30), count=3, batch=2)
     rasterizer = GsplatRasterizer(GsplatRasterizer.Settings(background=(1, 0, 0)))
     colours, alphas, depths = rasterizer._render_scene(scene, views, 1, near=0.5)
-    assert colours.shape == (3, 3, 20, 30) and alphas.shape == depths.shape == (
-        3,
-        1,
-        20,
-        30,
-    )
+    assert colours.shape == (3, 3, 20, 30)
+    assert alphas.shape == depths.shape == (3, 1, 20, 30)
     (given,) = calls
-    assert torch.allclose(
-        given["viewmats"] @ views.c2w[1], torch.eye(4).expand(3, 4, 4), atol=1e-6
-    )
+    identity = given["viewmats"] @ views.c2w[1]
+    assert torch.allclose(identity, torch.eye(4).expand(3, 4, 4), atol=1e-6)
     assert given["Ks"][0, 0, 2] == 15 and given["Ks"][0, 1, 2] == 10
-    assert (
-        given["sh_degree"] == 2
-        and given["colors"].shape == (7, 9, 3)
-        and given["near_plane"] == 0.5
-    )
+    assert given["sh_degree"] == 2 and given["near_plane"] == 0.5
+    assert given["colors"].shape == (7, 9, 3)
     assert torch.allclose(given["quats"].norm(dim=-1), torch.ones(7))
 
 

@@ -35,25 +35,14 @@ def pictures(rasterizer, gaussians, cameras):
 
 
 def largest_change(rasterizer, before, after, cameras, counted) -> float:
-    change = (
-        pictures(rasterizer, after, cameras).images
-        - pictures(rasterizer, before, cameras).images
-    )
-    return float(change[0].abs().amax(1)[counted].amax())
+    old, new = (pictures(rasterizer, g, cameras).images[0] for g in (before, after))
+    return float((new - old).abs().amax(1)[counted].amax())
 
 
 def rows_of(gaussians) -> set[tuple[float, ...]]:
     """All numbers of each Gaussian, so that two scenes' Gaussians can be compared bit for bit."""
-    return set(
-        map(
-            tuple,
-            torch.cat(
-                [getattr(gaussians, name)[0].flatten(1) for name in FIELDS[:3]]
-                + [gaussians.opacities[0, :, None], gaussians.harmonics[0].flatten(1)],
-                1,
-            ).tolist(),
-        )
-    )
+    columns = [getattr(gaussians, name)[0, :, None].flatten(1) for name in FIELDS]
+    return set(map(tuple, torch.cat(columns, 1).tolist()))
 
 
 def test_pixels_outside_the_region_render_as_before(rasterizer, edit):
@@ -78,16 +67,13 @@ def test_new_views_are_as_before_where_only_unchanged_gaussians_are_met(
 def test_inside_the_region_the_edit_arrives(rasterizer, edit):
     before, after, region, cameras = edit
     edited = insert_edit(before, after, region, cameras, rasterizer)
-    inner = (
-        torch.nn.functional.max_pool2d((~region).float()[:, None], 9, 1, 4)[:, 0] == 0
-    )
+    outside = torch.nn.functional.max_pool2d((~region).float()[:, None], 9, 1, 4)
+    inner = outside[:, 0] == 0
     wanted, got, old = (
         pictures(rasterizer, g, cameras).images[0] for g in (after, edited, before)
     )
-    missing = (got - wanted).abs().mean(1)[inner].mean() / (old - wanted).abs().mean(1)[
-        inner
-    ].mean()
-    assert inner.any() and float(missing) < 0.05
+    missing, asked = ((x - wanted).abs().mean(1)[inner].mean() for x in (got, old))
+    assert inner.any() and float(missing / asked) < 0.05
 
 
 def test_gaussians_that_stay_are_bit_equal_and_in_place(rasterizer, edit):
@@ -95,10 +81,9 @@ def test_gaussians_that_stay_are_bit_equal_and_in_place(rasterizer, edit):
     result = insert_edit(before, after, region, cameras, rasterizer)
     changed = differing(before, result)
     assert int(changed.sum()) > 100
-    assert all(
-        torch.equal(getattr(result, n)[:, changed], getattr(after, n)[:, changed])
-        for n in FIELDS
-    )
+    for name in FIELDS:
+        kept, given = (getattr(g, name)[:, changed] for g in (result, after))
+        assert torch.equal(kept, given), name
 
 
 def test_larger_gaussians_that_would_reach_over_the_border_are_not_taken(
@@ -115,19 +100,14 @@ def test_another_reconstruction_with_other_gaussians_keeps_the_outside_too(
     rasterizer, edit
 ):
     before, after, region, cameras = edit
-    fewer = after.select(
-        torch.randperm(after.count, generator=torch.Generator().manual_seed(0))[
-            : after.count // 2
-        ]
-    )
+    order = torch.randperm(after.count, generator=torch.Generator().manual_seed(0))
+    fewer = after.select(order[: after.count // 2])
     result = insert_edit(before, fewer, region, cameras, rasterizer)
     assert largest_change(rasterizer, before, result, cameras, ~region) <= SAME
     stayed, came = (rows_of(result) & rows_of(scene) for scene in (before, fewer))
-    assert (
-        len(came) > 50
-        and before.count - len(stayed) > 50
-        and len(stayed) + len(came) == result.count
-    )
+    assert len(came) > 50
+    assert before.count - len(stayed) > 50
+    assert len(stayed) + len(came) == result.count
 
 
 def test_an_answer_in_another_unit_of_length_is_brought_to_the_scene_s(
@@ -152,11 +132,9 @@ def test_what_shows_in_no_photo_takes_the_edit(rasterizer, edit, same):
     before, after, region, cameras = edit
 
     def with_hidden(gaussians, count):
-        behind_all = gaussians.select(torch.arange(count))
-        aside = torch.tensor([100.0, 0.0, 0.0])
-        return Gaussians.cat(
-            (gaussians, replace(behind_all, means=behind_all.means + aside))
-        )
+        some = gaussians.select(torch.arange(count))
+        away = replace(some, means=some.means + torch.tensor([100.0, 0.0, 0.0]))
+        return Gaussians.cat((gaussians, away))
 
     old, new = with_hidden(before, 20), with_hidden(after, 20 if same else 15)
     result = insert_edit(old, new, region, cameras, rasterizer)

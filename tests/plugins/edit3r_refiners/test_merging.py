@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_refiners import merging
 from edit3r_refiners.merging import duplicates, merge_groups, place
 from edit3r_refiners.settings import SimplifySettings
 
@@ -12,10 +13,9 @@ from edit3r.kit.geometry.harmonics import colour_to_dc
 from .scenes import cameras_side_by_side, flat_wall, gaussian_per_pixel
 
 
-def found(gaussians, cameras, **settings):
-    return duplicates(
-        gaussians, cameras, place(gaussians, cameras), SimplifySettings(**settings)
-    )
+def found(gaussians, cameras):
+    alike_up_to = SimplifySettings().duplicate_colour
+    return duplicates(gaussians, cameras, place(gaussians, cameras), alike_up_to)
 
 
 def test_the_second_view_of_a_wall_keeps_only_what_the_first_does_not_show():
@@ -58,27 +58,27 @@ def test_of_three_views_of_one_place_only_the_first_stays():
 
 def test_transparent_gaussians_hide_no_duplicate():
     gaussians, cameras = flat_wall(views=2, size=16)
-    assert not found(
-        replace(gaussians, opacities=gaussians.opacities * 0.3), cameras
-    ).any()
+    faint = replace(gaussians, opacities=gaussians.opacities * 0.3)
+    assert not found(faint, cameras).any()
 
 
-def test_a_merged_gaussian_has_its_members_moments_and_covers_like_both():
+def test_a_merged_gaussian_has_its_members_moments_and_covers_like_both(monkeypatch):
     """Means count by opacity; 1 - (1 - mean)^2 is what two of the mean opacity hide."""
     gaussians, cameras = flat_wall(size=2)
     opacities = torch.tensor([[0.6, 0.2, 0.5, 0.5]])
     gaussians = replace(gaussians, opacities=opacities)
     gaussians.harmonics[0, :, 0, 0] = torch.tensor([1.0, 5.0, 0.0, 0.0])
     group = torch.tensor([0, 0, -1, -1])
-    settings = SimplifySettings(behind=0)
-    merged = merge_groups(gaussians, group, cameras, settings).select(torch.tensor([2]))
+    monkeypatch.setattr(merging, "BEHIND", 0)
+    merged = merge_groups(gaussians, group, cameras).select(torch.tensor([2]))
     share = torch.tensor([0.75, 0.25])
     expected = (share[:, None] * gaussians.means[0, :2]).sum(0)
     assert torch.allclose(merged.means[0, 0], expected, atol=1e-6)
     assert float(merged.harmonics[0, 0, 0, 0]) == pytest.approx(2)
     mean = 0.75 * 0.6 + 0.25 * 0.2
     assert float(merged.opacities) == pytest.approx(1 - (1 - mean) ** 2)
-    behind = merge_groups(gaussians, group, cameras, SimplifySettings(behind=1))
+    monkeypatch.setattr(merging, "BEHIND", 1)
+    behind = merge_groups(gaussians, group, cameras)
     away = behind.means[0, 2] - merged.means[0, 0]
     assert float(away[2]) > 0  # from the camera
     assert float(away.norm()) == pytest.approx(float(merged.scales.max()), rel=1e-4)
@@ -88,7 +88,7 @@ def test_merged_gaussians_come_after_those_that_stay_of_their_view():
     gaussians, cameras = flat_wall(views=2, size=2)
     gaussians = gaussians.select(torch.tensor([0, 1, 2, 4, 5]))
     group = torch.tensor([0, 0, -1, -1, -1])
-    result = merge_groups(gaussians, group, cameras, SimplifySettings())
+    result = merge_groups(gaussians, group, cameras)
     assert result.view_index.tolist() == [0, 0, 1, 1]
     kept = result.select(torch.tensor([0, 2, 3]))
     assert torch.equal(kept.means, gaussians.means[:, 2:])

@@ -28,6 +28,11 @@ def cells():
     return measured(colours, torch.full((1, 8, 8), 2.0))
 
 
+@pytest.fixture(autouse=True)
+def few_levels(monkeypatch):
+    monkeypatch.setattr(module, "LARGEST_CELL", LEVELS)
+
+
 def measured(colours, depths, parallax=10.0) -> Cells:
     cameras = cameras_side_by_side(1, depths.shape[1:])
     # pixels as narrow as those of a large picture
@@ -35,10 +40,7 @@ def measured(colours, depths, parallax=10.0) -> Cells:
     gaussians = gaussian_per_pixel(colours, depths, cameras)
     placement = place(gaussians, cameras)
     flat = colours[0].permute(1, 2, 0).reshape(-1, 3)
-    settings = SimplifySettings(largest_cell=LEVELS)
-    return measure_cells(
-        placement, flat, gaussians.opacities[0], cameras, parallax, settings
-    )
+    return measure_cells(placement, flat, gaussians.opacities[0], cameras, parallax)
 
 
 def best_cost_by_trying_all(cells: Cells, price: float) -> float:
@@ -46,18 +48,14 @@ def best_cost_by_trying_all(cells: Cells, price: float) -> float:
 
     @cache
     def best(by_y: int, by_x: int, row: int, column: int) -> float:
-        one = price + (
-            float(cells.error[by_y, by_x][0, row, column]) if by_y + by_x else 0.0
-        )
-        options = [one]
+        error = cells.error[by_y, by_x][0, row, column] if by_y + by_x else 0.0
+        options = [price + float(error)]
         if by_y:
-            options.append(
-                sum(best(by_y - 1, by_x, 2 * row + i, column) for i in (0, 1))
-            )
+            halves = (best(by_y - 1, by_x, 2 * row + i, column) for i in (0, 1))
+            options.append(sum(halves))
         if by_x:
-            options.append(
-                sum(best(by_y, by_x - 1, row, 2 * column + i) for i in (0, 1))
-            )
+            halves = (best(by_y, by_x - 1, row, 2 * column + i) for i in (0, 1))
+            options.append(sum(halves))
         return min(options)
 
     side = 8 >> LEVELS
@@ -100,9 +98,9 @@ def test_count_left_is_what_partition_leaves_and_falls_with_the_price(cells):
             == int((group < 0).sum()) + group[group >= 0].unique().numel()
         )
         counts.append(count_left(cells, price))
-    assert (
-        counts == sorted(counts, reverse=True) and counts[0] == 64 and counts[-1] == 4
-    )
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] == 64
+    assert counts[-1] == 4
 
 
 @pytest.mark.parametrize("most", [4, 17, 40, 63])
@@ -113,60 +111,47 @@ def test_price_for_keeps_to_the_budget_and_uses_it(cells, most):
 
 def scene_price_of_noise(amplitude: float) -> float:
     noise = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1)) - 0.5
-    return scene_price(
-        measured(0.5 + amplitude * noise, torch.full((1, 8, 8), 2.0)),
-        SimplifySettings(),
-    )
+    cells = measured(0.5 + amplitude * noise, torch.full((1, 8, 8), 2.0))
+    return scene_price(cells, SimplifySettings())
 
 
 def test_the_price_of_a_scene_follows_the_variance_of_its_finest_detail_within_bounds():
-    assert scene_price_of_noise(0.12) == pytest.approx(
-        4 * scene_price_of_noise(0.06), rel=1e-3
-    )
+    twice, once = scene_price_of_noise(0.12), scene_price_of_noise(0.06)
+    assert twice == pytest.approx(4 * once, rel=1e-3)
     highest = SimplifySettings().price
     assert scene_price_of_noise(0) == pytest.approx(highest / 10)
     assert scene_price_of_noise(1) == highest
 
 
-def test_a_step_in_depth_is_never_bridged_at_any_price():
+@pytest.mark.parametrize(("parallax", "bridged"), [(200.0, False), (0.5, True)])
+def test_a_step_in_depth_is_bridged_at_no_price_but_where_it_hardly_moves(
+    parallax, bridged
+):
     depths = torch.full((1, 8, 8), 2.0)
     depths[:, :, 3:] = 4.0
-    cells = measured(torch.full((1, 3, 8, 8), 0.5), depths, parallax=200.0)
+    cells = measured(torch.full((1, 3, 8, 8), 0.5), depths, parallax=parallax)
     group = partition(cells, 1e6)
-    near = depths.flatten() == 2
-    assert not set(group[near].tolist()) & set(group[~near & (group >= 0)].tolist())
-    assert (group >= 0).float().mean() > 0.8
-
-
-def test_a_step_that_hardly_moves_between_the_views_may_be_bridged():
-    depths = torch.full((1, 8, 8), 2.0)
-    depths[:, :, 3:] = 4.0
-    cells = measured(torch.full((1, 3, 8, 8), 0.5), depths, parallax=0.5)
-    group = partition(cells, 1e6)
-    near = depths.flatten() == 2
-    assert set(group[near].tolist()) & set(group[~near & (group >= 0)].tolist())
+    near, merged = depths.flatten() == 2, group >= 0
+    both = set(group[near].tolist()) & set(group[~near & merged].tolist())
+    assert bool(both) == bridged
+    assert bridged or merged.float().mean() > 0.8
 
 
 def test_a_slanted_plane_is_one_cell():
     rows, columns = torch.meshgrid(torch.arange(8.0), torch.arange(8.0), indexing="ij")
-    cells = measured(
-        torch.full((1, 3, 8, 8), 0.5),
-        1 / (0.3 + 0.001 * rows + 0.002 * columns)[None],
-        parallax=200.0,
-    )
+    depths = 1 / (0.3 + 0.001 * rows + 0.002 * columns)[None]
+    cells = measured(torch.full((1, 3, 8, 8), 0.5), depths, parallax=200.0)
     assert count_left(cells, 0.01) == 4
 
 
 def test_gaussians_far_outside_the_pictures_stay_themselves():
     cameras = cameras_side_by_side(1, (8, 8))
-    gaussians = gaussian_per_pixel(
-        torch.full((1, 3, 8, 8), 0.5), torch.full((1, 8, 8), 2.0), cameras
-    )
+    grey, depths = torch.full((1, 3, 8, 8), 0.5), torch.full((1, 8, 8), 2.0)
+    gaussians = gaussian_per_pixel(grey, depths, cameras)
     gaussians.means[0, :3] = torch.tensor([[100.0, 0, 2], [0, 0, -3], [0, -50, 1]])
     colours, opacities = torch.full((64, 3), 0.5), gaussians.opacities[0]
-    cells = measure_cells(
-        place(gaussians, cameras), colours, opacities, cameras, 1.0, SimplifySettings()
-    )
+    where = place(gaussians, cameras)
+    cells = measure_cells(where, colours, opacities, cameras, 1.0)
     group = partition(cells, 1.0)
     assert (group[:3] == -1).all() and (group[3:] >= 0).all()
 
@@ -174,8 +159,7 @@ def test_gaussians_far_outside_the_pictures_stay_themselves():
 def test_cells_hold_no_more_memory_than_they_say(cells):
     """A count that is a view of its pixels' sums would keep all of their channels."""
     sums = torch.rand(module.CHANNELS, 1, 8, 8)
-    settings = SimplifySettings(largest_cell=LEVELS)
-    block = module._measure_block(sums, 10.0, 1.0, settings)
+    block = module._measure_block(sums, 10.0, 1.0)
     for tables in (cells.count, cells.error, *block):
         for table in tables.values():
             assert table.untyped_storage().nbytes() == table.numel() * 4
@@ -186,14 +170,9 @@ def test_views_measured_a_few_at_a_time_have_the_same_cells(monkeypatch):
     draw = torch.Generator().manual_seed(0)
     colours = torch.rand(3, 3, 8, 8, generator=draw)
     gaussians = gaussian_per_pixel(colours, torch.full((3, 8, 8), 2.0), cameras)
-    given = (
-        place(gaussians, cameras),
-        colours.permute(0, 2, 3, 1).reshape(-1, 3),
-        gaussians.opacities[0],
-        cameras,
-        10.0,
-        SimplifySettings(largest_cell=LEVELS),
-    )
+    flat = colours.permute(0, 2, 3, 1).reshape(-1, 3)
+    weight, where = gaussians.opacities[0], place(gaussians, cameras)
+    given = where, flat, weight, cameras, 10.0
     together = measure_cells(*given)
     monkeypatch.setattr(module, "VIEWS_AT_ONCE", 2)
     apart = measure_cells(*given)

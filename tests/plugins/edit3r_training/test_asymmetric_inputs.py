@@ -36,16 +36,11 @@ def test_disagreeing_regime_gives_every_view_its_own_edit_and_asks_for_the_refer
     assert changed and not torch.allclose(edit.edited[1], edit.truth[1], atol=0.02)
 
 
-def test_agreeing_regime_gives_the_truth():
-    edit = _edit("agreeing")
+def test_agreeing_regime_gives_the_truth_and_unedited_changes_nothing():
+    edit, none = _edit("agreeing"), _edit("unedited")
     assert torch.equal(edit.edited, edit.truth)
-
-
-def test_unedited_regime_changes_nothing():
-    edit = _edit("unedited")
-    assert torch.equal(edit.edited, SAMPLE.context) and torch.equal(
-        edit.target, SAMPLE.target
-    )
+    assert torch.equal(none.edited, SAMPLE.context)
+    assert torch.equal(none.target, SAMPLE.target)
 
 
 def test_viewwise_regime_asks_for_every_image_s_own_edit():
@@ -72,14 +67,8 @@ def test_two_regions_get_two_transforms_each_the_same_in_all_views():
     grey = torch.full_like(SAMPLE.context, 0.4)
     masks = torch.zeros(2, 2, 48, 48)
     masks[0, ..., :24], masks[1, ..., 24:] = 1, 1
-    halves = replace(
-        SAMPLE,
-        context=grey,
-        target=grey,
-        context_masks=masks,
-        target_masks=masks,
-        context_depths=None,
-    )
+    halves = replace(SAMPLE, context=grey, target=grey, context_depths=None)
+    halves = replace(halves, context_masks=masks, target_masks=masks)
     edits = [_edit("reference", seed, halves, whole_picture=0) for seed in range(8)]
     colours = [[edit.truth[..., 0, x] for x in (0, -1)] for edit in edits]
     both = [c for c in colours if all((one - 0.4).abs().max() > 0.02 for one in c)]
@@ -116,9 +105,7 @@ def test_only_generated_edits_may_move_a_surface_and_only_where_they_changed_it(
         assert bool(batch.reshaped.any()) == expected
     changed = (OWN.edited_context - OWN.context).abs().amax(1) > 0.02
     numbers = [np.random.default_rng(0)]
-    shares = RegimeShares(
-        generated=1, reference=0, disagreeing=0, agreeing=0, unedited=0
-    )
+    shares = RegimeShares(**{name: float(name == "generated") for name in REGIMES})
     assert torch.equal(make_batch([OWN], shares, numbers).reshaped[0], changed)
 
 
@@ -135,19 +122,14 @@ def test_a_jittered_palette_spoils_the_input_but_not_the_truth():
     clean, jittered = (
         _edit("reference", whole_picture=1, palette_jitter=share) for share in (0, 1)
     )
-    assert torch.equal(clean.truth, jittered.truth) and torch.equal(
-        clean.edited[0], clean.truth[0]
-    )
+    assert torch.equal(clean.truth, jittered.truth)
+    assert torch.equal(clean.edited[0], clean.truth[0])
     assert 0.002 < (jittered.edited[0] - clean.edited[0]).abs().mean() < 0.2
 
 
 def test_data_without_masks_is_edited_as_a_whole():
     bare = replace(SAMPLE, context_masks=None, target_masks=None)
-    edit = edit_sample(
-        bare,
-        RegimeShares(reference=1, disagreeing=0, agreeing=0, unedited=0),
-        np.random.default_rng(0),
-    )
+    edit = _edit("reference", sample=bare)
     assert ((edit.truth - SAMPLE.context).abs().amax(1) > 0.01).float().mean() > 0.5
 
 

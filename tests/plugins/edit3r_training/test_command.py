@@ -28,9 +28,8 @@ def test_a_second_training_does_not_write_into_the_same_folder(
     command = ["train", "training/noposplat-tiny"]
     with alone_in(tmp_path):
         assert main(command) == 2
-    assert (
-        not begun and "another run writes its results there" in capsys.readouterr().err
-    )
+    assert not begun
+    assert "another run writes its results there" in capsys.readouterr().err
     assert main(command) == 0 and begun == [job]
 
 

@@ -84,25 +84,17 @@ def test_depths_are_those_in_the_predicted_cameras_or_else_in_the_true_ones():
 
     own = answer.gaussians.means[..., 2].reshape(1, VIEWS, HEIGHT, WIDTH)
     alone = pixel_maps(answer, moved(10)).depths
-    assert torch.equal(alone[:, 0], own[:, 0]) and torch.equal(
-        alone[:, 1], own[:, 1] + 10
-    )
+    assert torch.equal(alone[:, 0], own[:, 0])
+    assert torch.equal(alone[:, 1], own[:, 1] + 10)
     placed = pixel_maps(replace(answer, cameras=moved(3)), moved(10)).depths
     assert torch.equal(placed[:, 1], own[:, 1] + 3)
 
 
 def _batch(source: Views, truth: torch.Tensor, depths: torch.Tensor) -> TrainingBatch:
-    cameras = CAMERAS.select([0])
-    return TrainingBatch(
-        source=source,
-        edited=source,
-        truth=truth,
-        target=truth[:, :0],
-        context_cameras=CAMERAS,
-        target_cameras=cameras,
-        depths=depths,
-        geometry=None,
-    )
+    images = {"source": source, "edited": source, "truth": truth}
+    cameras = {"context_cameras": CAMERAS, "target_cameras": CAMERAS.select([0])}
+    rest = {"target": truth[:, :0], "depths": depths, "geometry": None}
+    return TrainingBatch(**images, **cameras, **rest)
 
 
 @pytest.mark.parametrize(("off", "error"), [(0.02, 0.004), (0.3, 0.275)])

@@ -2,7 +2,6 @@
 loop.
 """
 
-import json
 import random
 import signal
 from dataclasses import replace
@@ -19,22 +18,14 @@ from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import TrainingJob
 from edit3r_testing.training import tiny_job
 
-
-def _lines(folder):
-    return [
-        json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()
-    ]
-
-
-def _steps(path):
-    return [line["step"] for line in _lines(path.parent)]
+from .training_kit import log_of
 
 
 def test_lines_are_json_objects(tmp_path):
     journal = Journal(tmp_path)
     journal.write(1, {"loss": 0.5})
     journal.write(2, {"score": 0.25}, kind="validation")
-    lines = [json.loads(line) for line in journal.path.read_text().splitlines()]
+    lines = log_of(tmp_path)
     assert [line["kind"] for line in lines] == ["train", "validation"]
     assert lines[0]["loss"] == 0.5 and lines[1]["step"] == 2
 
@@ -46,7 +37,8 @@ def test_resuming_takes_out_what_will_be_done_again(tmp_path):
     journal.path.write_text(
         journal.path.read_text() + 'no line of ours\n[1]\n{"half a li'
     )
-    assert _steps(Journal(tmp_path, step=3).path) == [1, 2, 3]
+    Journal(tmp_path, step=3)
+    assert [line["step"] for line in log_of(tmp_path)] == [1, 2, 3]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -82,11 +74,8 @@ class _Line(Recipe):
     """Two parts of one weight each, pulled towards the numbers 0, 1, 2, ... of the batches."""
 
     def __init__(self) -> None:
-        super().__init__(
-            nn.ModuleDict(
-                {"old": nn.Linear(1, 1, bias=False), "new": nn.Linear(1, 1, bias=False)}
-            )
-        )
+        one, other = (nn.Linear(1, 1, bias=False) for _ in range(2))
+        super().__init__(nn.ModuleDict({"old": one, "new": other}))
         for parameter in self.network.parameters():
             nn.init.zeros_(parameter)
         self.asked: list[int] = []
@@ -102,9 +91,7 @@ class _Line(Recipe):
         return {}
 
 
-def _trained(
-    tmp_path, monkeypatch, **settings
-) -> tuple[_Line, list[list[float]], list[list[float]]]:
+def _trained(tmp_path, monkeypatch, **settings):
     """(recipe, learning rates of the groups by step, gradients of the weights by step)."""
     recipe, rates, gradients = _Line(), [], []
     step = torch.optim.AdamW.step
@@ -116,11 +103,8 @@ def _trained(
 
     monkeypatch.setattr(torch.optim.AdamW, "step", spy)
     job: TrainingJob = tiny_job(tmp_path)
-    train(
-        recipe,
-        LoopSettings(**{"warmup": 1, "clip": 100, "log_every": 1, **settings}),
-        job,
-    )
+    usual = {"warmup": 1, "clip": 100, "log_every": 1}
+    train(recipe, LoopSettings(**usual | settings), job)
     return recipe, rates, gradients
 
 
@@ -130,11 +114,8 @@ def test_a_step_averages_the_gradients_of_its_batches_and_takes_new_ones(
     recipe, _, gradients = _trained(tmp_path, monkeypatch, steps=2, accumulate=3)
     assert recipe.asked == [0, 1, 2, 3, 4, 5]
     assert gradients == [[-2, -2], [-5, -5]]
-    lines = [
-        json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()
-    ]
     # the weights began at 0
-    assert next(line["pull"] for line in lines if line["kind"] == "train") == 0
+    assert next(one["pull"] for one in log_of(tmp_path) if one["kind"] == "train") == 0
 
 
 def test_weights_decay_by_their_share_of_the_rate(tmp_path, monkeypatch):
@@ -151,16 +132,11 @@ def test_weights_decay_by_their_share_of_the_rate(tmp_path, monkeypatch):
 
 
 def test_pretrained_weights_learn_at_their_share_of_the_rate(tmp_path, monkeypatch):
-    _, rates, _ = _trained(
-        tmp_path, monkeypatch, steps=2, lr=0.01, pretrained=["old"], pretrained_rate=0.1
-    )
+    chosen = {"lr": 0.01, "pretrained": ["old"], "pretrained_rate": 0.1}
+    recipe, rates, _ = _trained(tmp_path, monkeypatch, steps=1, **chosen)
     assert rates[0] == pytest.approx([0.01, 0.001])
-    recipe, _, _ = _trained(
-        tmp_path, monkeypatch, steps=1, lr=0.01, pretrained=["old"], pretrained_rate=0.1
-    )
-    assert recipe.network["new"].weight.item() == pytest.approx(
-        10 * recipe.network["old"].weight.item(), rel=1e-3
-    )
+    new, old = (recipe.network[name].weight.item() for name in ("new", "old"))
+    assert new == pytest.approx(10 * old, rel=1e-3)
 
 
 def test_the_rate_falls_to_the_floor_which_all_weights_share(tmp_path, monkeypatch):
@@ -223,9 +199,8 @@ class _Interrupted(_Line):
 def test_ctrl_c_leaves_a_step_at_once_and_a_resumed_training_ends_like_a_straight_one(
     tmp_path, where, done
 ):
-    settings = LoopSettings(
-        warmup=1, steps=6, validate_every=2, checkpoint_every=100, log_every=1
-    )
+    every = {"validate_every": 2, "checkpoint_every": 100, "log_every": 1}
+    settings = LoopSettings(warmup=1, steps=6, **every)
     interrupted = _Interrupted(where)
     stopped = tiny_job(tmp_path / "stopped")
     stopped.reconstructor.weights_metadata = interrupted.weights_metadata
@@ -235,9 +210,8 @@ def test_ctrl_c_leaves_a_step_at_once_and_a_resumed_training_ends_like_a_straigh
             train(interrupted, settings, stopped)
     finally:
         signal.signal(signal.SIGINT, before)
-    assert (
-        torch.load(tmp_path / "stopped" / "last.pt", weights_only=True)["step"] == done
-    )
+    last = torch.load(tmp_path / "stopped" / "last.pt", weights_only=True)
+    assert last["step"] == done
     resumed, straight = _Interrupted(""), _Interrupted("")
     train(resumed, settings, replace(tiny_job(tmp_path / "stopped"), resume=True))
     train(straight, settings, tiny_job(tmp_path / "straight"))
@@ -245,12 +219,11 @@ def test_ctrl_c_leaves_a_step_at_once_and_a_resumed_training_ends_like_a_straigh
         torch.equal(a, b)
         for a, b in zip(resumed.network.parameters(), straight.network.parameters())
     )
-    weights = [
-        (tmp_path / name / "best" / "weights.safetensors").read_bytes()
+    left, expected = (
+        (
+            (tmp_path / name / "best" / "weights.safetensors").read_bytes(),
+            [(line["kind"], line["step"]) for line in log_of(tmp_path / name)],
+        )
         for name in ("stopped", "straight")
-    ]
-    logs = [
-        [(line["kind"], line["step"]) for line in _lines(tmp_path / name)]
-        for name in ("stopped", "straight")
-    ]
-    assert weights[0] == weights[1] and logs[0] == logs[1]
+    )
+    assert left == expected

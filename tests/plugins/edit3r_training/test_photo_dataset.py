@@ -20,9 +20,8 @@ def test_gap_is_within_its_range_and_targets_lie_between(seed):
     )
     context, targets = choice[:3], choice[3:]
     assert 10 <= context[-1] - context[0] <= 20
-    assert len(targets) == 4 and all(
-        context[0] <= target <= context[-1] for target in targets
-    )
+    assert len(targets) == 4
+    assert all(context[0] <= target <= context[-1] for target in targets)
     assert context == sorted(context)
 
 

@@ -8,11 +8,8 @@ from edit3r.kit.geometry.cameras import project, unproject
 
 
 def _dataset(**settings) -> ProceduralDataset:
-    return ProceduralDataset(
-        ProceduralDataset.Settings(
-            **{"image_size": 48, "scenes": 4, "textures": 8, **settings}
-        )
-    )
+    usual = {"image_size": 48, "scenes": 4, "textures": 8}
+    return ProceduralDataset(ProceduralDataset.Settings(**usual | settings))
 
 
 def test_surfaces_seen_by_both_views_have_the_same_colour_and_depth():
@@ -22,16 +19,14 @@ def test_surfaces_seen_by_both_views_have_the_same_colour_and_depth():
     for index in range(3):
         sample = _dataset(image_size=96)[index]
         cameras, depths = sample.context_cameras, sample.context_depths
-        points = unproject(
-            depths[:1], cameras.intrinsics[0, :1], cameras.c2w[0, :1]
-        ).reshape(1, -1, 3)
-        places, z = project(points, cameras.intrinsics[0, 1:], cameras.c2w[0, 1:])
+        lenses, c2w = cameras.intrinsics[0], cameras.c2w[0]
+        points = unproject(depths[:1], lenses[:1], c2w[:1]).reshape(1, -1, 3)
+        places, z = project(points, lenses[1:], c2w[1:])
         grid = (places * 2 - 1).reshape(1, 96, 96, 2)
         seen = torch.cat((sample.context[1], depths[1:]))[None]
         pulled = torch.nn.functional.grid_sample(seen, grid, align_corners=False)[0]
-        visible = (grid[0].abs() < 0.98).all(-1) & (
-            (pulled[3] / z.reshape(96, 96)).log().abs() < 0.01
-        )
+        visible = (grid[0].abs() < 0.98).all(-1)
+        visible &= (pulled[3] / z.reshape(96, 96)).log().abs() < 0.01
         assert visible.float().mean() > 0.3
         gap = (pulled[:3] - sample.context[0]).abs().mean(0)[visible]
         assert gap.median() < 0.03
@@ -68,21 +63,16 @@ def test_removing_reveals_what_was_behind():
 
 def test_views_beyond_two_are_made_too():
     sample = _dataset(context=4, targets=3, image_size=16)[0]
-    assert sample.context.shape == (4, 3, 16, 16) and sample.target.shape == (
-        3,
-        3,
-        16,
-        16,
-    )
+    assert sample.context.shape == (4, 3, 16, 16)
+    assert sample.target.shape == (3, 3, 16, 16)
     assert sample.target_masks.shape[:2] == (sample.context_masks.shape[0], 3)
 
 
 def test_kept_samples_are_the_same_as_fresh_ones():
     kept = _dataset(keep=True)
     first, again = kept[1], kept[1]
-    assert torch.equal(first.context, again.context) and torch.equal(
-        first.context, _dataset()[1].context
-    )
+    assert torch.equal(first.context, again.context)
+    assert torch.equal(first.context, _dataset()[1].context)
 
 
 def test_two_seeds_share_no_scene():
@@ -97,22 +87,15 @@ def test_settings_out_of_range_are_refused(key):
 
 def test_shape_draws_things_added_and_removed_for_every_scene():
     def edited(edit, index):
-        data = ProceduralDataset(
-            ProceduralDataset.Settings(
-                image_size=16, scenes=12, seed=4, edit=edit, edit_seed=1, textures=8
-            )
-        )
-        return data[index]
+        small = {"image_size": 16, "scenes": 12, "seed": 4, "edit_seed": 1}
+        return _dataset(**small, edit=edit)[index]
 
     kinds = []
     for index in range(12):
         shape = edited("shape", index)
         alone = {kind: edited(kind, index) for kind in ("add", "remove")}
         # The unedited scene of `add` lacks its last object, that of `remove` has them all.
-        same = [
-            k for k, one in alone.items() if torch.equal(one.context, shape.context)
-        ]
-        kinds.append(same[0])
-        depth = alone[same[0]].context_depths
-        assert torch.equal(shape.context_depths, depth)
+        same = next(k for k in alone if torch.equal(alone[k].context, shape.context))
+        kinds.append(same)
+        assert torch.equal(shape.context_depths, alone[same].context_depths)
     assert {*kinds} == {"add", "remove"}

@@ -2,13 +2,11 @@
 by setting.
 """
 
-import importlib
 import json
 import re
 import shlex
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 import yaml
@@ -17,39 +15,24 @@ from edit3r_training.job import TrainingConfig, prepare
 from edit3r_training.loop import parameter_groups
 from edit3r_training.processes import Processes
 from edit3r_training.recolor_trainer import RecolorRecipe
-from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.contract.settings import PartChoice, make_settings, merge
 from edit3r.kit.files.configs import find_config, parse_assignments, read_yaml
+from edit3r.kit.photos.images import save_image
 from edit3r.loading.registry import build, default_registry
 
 pytestmark = pytest.mark.slow
 
-QUICK = (
-    "trainer.steps=2",
-    "trainer.batch=1",
-    "trainer.validate_every=2",
-    "trainer.log_every=1",
-    "rasterizer=torch",
-)
-DATA = (
-    "train_data.scenes=2",
-    "validation_data.scenes=1",
-    "train_data.textures=8",
-    "validation_data.textures=8",
-)
+QUICK = "trainer.steps=2 trainer.batch=1 trainer.validate_every=2 trainer.log_every=1"
+DATA = "train_data.scenes=2 train_data.textures=8"
+DATA += " validation_data.scenes=1 validation_data.textures=8 rasterizer=torch"
 SMALL = {
-    "backbone": {
-        "width": 32,
-        "depth": 1,
-        "heads": 2,
-        "decoder_width": 32,
-        "decoder_depth": 4,
-        "decoder_heads": 2,
-    },
+    "backbone": {"width": 32, "depth": 1, "heads": 2, "decoder_width": 32}
+    | {"decoder_depth": 4, "decoder_heads": 2},
     "head": {"feature_width": 8, "point_width": 8, "layer_widths": [8, 8, 8, 8]},
 }
+MADE_UP = {"name": "procedural", "scenes": 2, "textures": 8}
 
 
 SMALL_ABLATIONS = sorted(
@@ -62,107 +45,58 @@ def _options(*assignments: str) -> list[str]:
     return [text for assignment in assignments for text in ("--set", assignment)]
 
 
+def _trained(recipe: str, out: Path, *assignments: str) -> Path:
+    """The folder `best` of a tiny recipe, two steps long."""
+    quick = _options(*QUICK.split(), *DATA.split(), *assignments)
+    assert main(["train", f"training/{recipe}", "--out", str(out), *quick]) == 0
+    return out / "best"
+
+
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory) -> list[str]:
     """Two views of a made-up scene as files."""
     folder = tmp_path_factory.mktemp("photos")
-    sample = build(
-        "dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8
-    )[0]
+    drawn = {"image_size": 64, "scenes": 1, "seed": 5, "textures": 8}
+    sample = build("dataset", "procedural", **drawn)[0]
     paths = [folder / f"{view}.png" for view in range(2)]
     for path, image in zip(paths, sample.context):
-        Image.fromarray((image.permute(1, 2, 0).numpy() * 255).astype(np.uint8)).save(
-            path
-        )
+        save_image(image, path)
     return [str(path) for path in paths]
 
 
 @pytest.fixture(scope="module")
-def stages(tmp_path_factory) -> tuple[Path, Path]:
+def efficientnet():
+    pytest.importorskip("efficientnet_lite_pytorch", reason="the extra train is needed")
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory, efficientnet) -> tuple[Path, Path]:
     """The folders `best` of both tiny stages, the second begun from and held to the first."""
-    pytest.importorskip(
-        "efficientnet_lite_pytorch", reason="the extra train is not installed"
-    )
     root = tmp_path_factory.mktemp("stages")
-    first, second = root / "first", root / "second"
-    assert (
-        main(
-            [
-                "train",
-                "training/noposplat-tiny",
-                "--out",
-                str(first),
-                *_options(*QUICK, *DATA),
-            ]
-        )
-        == 0
-    )
+    first = _trained("noposplat-tiny", root / "first")
     begun = (
-        f"reconstructor.weights={first}/best",
+        f"reconstructor.weights={first}",
         "reference.name=noposplat",
-        f"reference.weights={first}/best",
+        f"reference.weights={first}",
         "trainer.pretrained=[backbone.patch_embed, backbone.encoder, backbone.decoder, "
         "head.centres]",
     )
-    assert (
-        main(
-            [
-                "train",
-                "training/edit3r-paper-tiny",
-                "--out",
-                str(second),
-                *_options(*QUICK, *DATA, *begun),
-            ]
-        )
-        == 0
-    )
-    return first / "best", second / "best"
+    return first, _trained("edit3r-paper-tiny", root / "second", *begun)
 
 
 def test_the_tiny_recipes_lead_from_data_to_images(stages, photos, tmp_path):
     for name, best in zip(("first", "second"), stages):
         out = tmp_path / name
-        command = [
-            "run",
-            *photos,
-            "--editor",
-            "none",
-            "--recon",
-            "noposplat",
-            "--out",
-            str(out),
-            "--quiet",
-        ]
+        how = f"--editor none --recon noposplat --out {out} --quiet".split()
         few = ("frames=2", "outputs=scene,images", f"reconstructor.weights={best}")
-        assert main([*command, *_options(*few)]) == 0
+        assert main(["run", *photos, *how, *_options(*few)]) == 0
         assert (out / "scene.ply").is_file()
 
 
-def test_the_generative_recipe_trains(tmp_path):
-    pytest.importorskip(
-        "efficientnet_lite_pytorch", reason="the extra train is not installed"
-    )
-    out = tmp_path / "out"
-    recipe = ["train", "training/edit3r-generative-tiny", "--out", str(out)]
-    assert main([*recipe, *_options(*QUICK, *DATA)]) == 0
-    written = (out / "log.jsonl").read_text()
+def test_the_generative_recipe_trains(tmp_path, efficientnet):
+    _trained("edit3r-generative-tiny", tmp_path / "out")
+    written = (tmp_path / "out/log.jsonl").read_text()
     assert all(f'"{name}"' in written for name in ("uptake", "leak", "novel"))
-
-
-def test_the_tiny_recipes_are_converted_to_what_computes_the_same(stages, tmp_path):
-    ours = tmp_path / "ours"
-    assert main(["convert", str(stages[1]), str(ours)]) == 0
-    views = build("dataset", "procedural", image_size=64, scenes=1, seed=5, textures=8)[
-        0
-    ]
-    images, lens = views.context[None], views.context_cameras.intrinsics
-    trained, converted = (
-        build("reconstructor", "noposplat", weights=str(folder)).network(images, lens)
-        for folder in (stages[1], ours)
-    )
-    assert torch.equal(trained.means, converted.means) and torch.equal(
-        trained.harmonics, converted.harmonics
-    )
 
 
 def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
@@ -180,38 +114,19 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
 def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path):
     """`--plugin` for the training, its setting `weights` for the result."""
     plugin = Path(__file__).parents[3] / "examples/learned.py"
-    data = {"name": "procedural", "image_size": 32, "scenes": 2, "textures": 8}
+    short = {"steps": 1, "batch": 1, "unit": "baseline", "warmup": 1, "lr": 0.01}
     config = {
-        "trainer": {
-            "name": "recolor",
-            "steps": 1,
-            "batch": 1,
-            "unit": "baseline",
-            "warmup": 1,
-            "lr": 0.01,
-        },
+        "trainer": {"name": "recolor", **short},
         "reconstructor": {"name": "learned", "size": 32},
         "rasterizer": "torch",
-        "train_data": data,
+        "train_data": {**MADE_UP, "image_size": 32},
     }
     (tmp_path / "learned.yaml").write_text(yaml.safe_dump(config))
     train = ["train", str(tmp_path / "learned.yaml"), "--plugin", str(plugin)]
     assert main([*train, "--out", str(tmp_path / "out")]) == 0
-    weights, options = (
-        str(tmp_path / "out/best"),
-        ["--plugin", str(plugin), "--quiet", "--editor", "none"],
-    )
-    command = [
-        "run",
-        *photos,
-        "--recon",
-        "learned",
-        "--frames",
-        "2",
-        *options,
-        "--out",
-        str(tmp_path / "scene"),
-    ]
+    weights = str(tmp_path / "out/best")
+    how = f"--recon learned --frames 2 --plugin {plugin} --quiet --editor none"
+    command = ["run", *photos, *how.split(), "--out", str(tmp_path / "scene")]
     assert main([*command, *_options(f"reconstructor.weights={weights}")]) == 0
     registry = default_registry((str(plugin),))
     start, trained = (
@@ -221,17 +136,11 @@ def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path):
     assert not torch.equal(start["head"].out.weight, trained["head"].out.weight)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "noposplat",
-        "edit3r-paper",
-        "noposplat-tiny",
-        "edit3r-paper-tiny",
-        "edit3r-generative-tiny",
-        *SMALL_ABLATIONS,
-    ],
-)
+FULL = ("noposplat", "edit3r-paper")
+TINY = ("noposplat-tiny", "edit3r-paper-tiny", "edit3r-generative-tiny")
+
+
+@pytest.mark.parametrize("name", [*FULL, *TINY, *SMALL_ABLATIONS])
 def test_every_setting_of_a_recipe_is_known(name):
     registry = default_registry()
     config = make_settings(
@@ -239,15 +148,10 @@ def test_every_setting_of_a_recipe_is_known(name):
     )
 
     def check(kind: str, choice: PartChoice) -> None:
-        module, _, cls = registry.find(kind, choice.name).component.target.partition(
-            ":"
-        )
-        settings_class = getattr(
-            getattr(importlib.import_module(module), cls), "Settings", Settings
-        )
         given = dict(choice.settings)
         if "weights" in given:
             given["weights"] = "untrained"  # the files come from the stage before
+        settings_class = registry.settings_class(registry.find(kind, choice.name))
         settings = make_settings(settings_class, given, kind)
         for part in ("backbone", "head"):
             if kind == "reconstructor":
@@ -260,64 +164,40 @@ def test_every_setting_of_a_recipe_is_known(name):
         check("dataset", choice)
     check("rasterizer", config.rasterizer)
     for loss, given in config.losses.items():
-        check(
-            "loss",
-            PartChoice(
-                name=loss,
-                settings={
-                    key: value for key, value in given.items() if key != "weight"
-                },
-            ),
-        )
+        own = {key: value for key, value in given.items() if key != "weight"}
+        check("loss", PartChoice(name=loss, settings=own))
 
 
-@pytest.mark.parametrize("name", ["noposplat", "edit3r-paper"])
-def test_a_full_recipe_trains_a_small_network(name, tmp_path):
-    """As it is shipped but for sizes, data, device, and losses that need weights from elsewhere."""
-    values = read_yaml(find_config(f"training/{name}"))
-    data = {
-        "name": "procedural",
-        "image_size": 32,
-        "scenes": 2,
-        "targets": 1,
-        "textures": 8,
-    }
-    values["losses"] = {
-        key: given
-        for key, given in values["losses"].items()
-        if key not in ("clip", "lpips")
-    }
-    values |= {
+def _small(values: dict, out: Path) -> dict:
+    """A recipe but for sizes, data, device, and losses that need weights from elsewhere."""
+    losses = {k: v for k, v in values["losses"].items() if k not in ("clip", "lpips")}
+    data = {**MADE_UP, "image_size": 32, "targets": 1}
+    network = {"weights": "random", **SMALL}
+    parts = {"reconstructor", "reference"} & {*values}
+    short = {"trainer": {"steps": 1, "batch": 1, "device": "cpu"}}
+    return merge(values, short | dict.fromkeys(parts, network)) | {
+        "losses": losses,
         "train_data": data,
         "validation_data": data,
         "rasterizer": "torch",
-        "out": str(tmp_path),
+        "out": str(out),
     }
-    network = {"weights": "random", **SMALL}
-    small = {
-        "trainer": {"steps": 1, "batch": 1, "device": "cpu"},
-        "reconstructor": network,
-    }
-    values = merge(
-        values, small | ({"reference": network} if "reference" in values else {})
-    )
-    trainer, job = prepare(values, default_registry())
+
+
+@pytest.mark.parametrize("name", FULL)
+def test_a_full_recipe_trains_a_small_network(name, tmp_path):
+    """As it is shipped but for sizes, data, device, and losses that need weights from elsewhere."""
+    values = read_yaml(find_config(f"training/{name}"))
+    trainer, job = prepare(_small(values, tmp_path), default_registry())
     best = trainer.train(job)
     assert (best / "weights.safetensors").is_file()
     groups = parameter_groups(job.reconstructor.network, trainer.settings)
     assert [rate for rate, _ in groups] == [1.0, 0.1]
     fresh = {id(p) for p in groups[0][1]}
     named = dict(job.reconstructor.network.named_parameters())
-    begins = {
-        key.split(".")[0] + "." + key.split(".")[1]
-        for key, p in named.items()
-        if id(p) in fresh
-    }
+    begins = {".".join(k.split(".")[:2]) for k, p in named.items() if id(p) in fresh}
     # what MASt3R does not have
-    assert begins == {
-        "backbone.intrinsics_embed",
-        "head.attributes",
-    }
+    assert begins == {"backbone.intrinsics_embed", "head.attributes"}
 
 
 ABLATION = re.compile(
@@ -333,20 +213,8 @@ def test_the_documented_command_of_an_ablation_can_be_trained(name, tmp_path):
     values = merge(
         read_yaml(find_config("training/edit3r-paper")), parse_assignments(given)
     )
-    data = {"name": "procedural", "image_size": 32, "scenes": 2, "targets": 1}
-    data["textures"] = 8
-    network = {"weights": "random", **SMALL}
-    small = {
-        "trainer": {"steps": 1, "batch": 1, "accumulate": 1, "device": "cpu"},
-        "reconstructor": network,
-        "reference": network,
-        "rasterizer": "torch",
-    }
-    values = merge(values, small)
-    values |= {"train_data": data, "validation_data": data, "out": str(tmp_path)}
-    for needs_weights in ("clip", "lpips"):
-        del values["losses"][needs_weights]
-    trainer, job = prepare(values, default_registry())
+    values = merge(values, {"trainer": {"accumulate": 1}})
+    trainer, job = prepare(_small(values, tmp_path), default_registry())
     shares = trainer.settings.regimes
     drawn = {regime for regime in REGIMES if getattr(shares, regime) > 0}
     expected = "viewwise" if name == "without-recolor" else "reference"
@@ -364,21 +232,13 @@ def test_the_first_stage_is_regularised_as_published():
 
 def test_half_precision_leaves_weights_and_losses_in_float32(tmp_path):
     values = read_yaml(find_config("training/edit3r-paper-tiny"))
-    values = merge(
-        values,
-        {
-            "reconstructor": SMALL,
-            "train_data": {"scenes": 1, "textures": 8},
-            "out": str(tmp_path),
-        },
-    )
-    values["losses"] = {"mse": {}, "center": {}}
+    few = {"scenes": 1, "textures": 8}
+    values = merge(values, {"reconstructor": SMALL, "train_data": few})
+    values |= {"losses": {"mse": {}, "center": {}}, "out": str(tmp_path)}
     totals = {}
     for precision in ("float32", "bfloat16"):
-        given = merge(
-            values,
-            {"trainer": {"batch": 1, "precision": precision}, "rasterizer": "torch"},
-        )
+        given = {"trainer": {"batch": 1, "precision": precision}, "rasterizer": "torch"}
+        given = merge(values, given)
         trainer, job = prepare(given, default_registry(), overwrite=True)
         recipe = RecolorRecipe(trainer.settings, job)
         recipe.network.train()

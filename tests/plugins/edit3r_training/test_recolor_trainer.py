@@ -1,7 +1,5 @@
-import json
 import signal
 import threading
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import ClassVar
 
@@ -21,19 +19,15 @@ from edit3r_training.schedule import step_generator
 from edit3r_training.validation import held_out_batches, held_out_measures
 
 from edit3r.contract.errors import MatchingError, PluginError, SettingsError
-from edit3r.contract.interfaces import (
-    Dataset,
-    Geometry,
-    Matcher,
-    Reconstructor,
-    TrainingJob,
-)
+from edit3r.contract.interfaces import Geometry, Matcher, Reconstructor, TrainingJob
 from edit3r.contract.reporting import Report, collecting, warn
 from edit3r.contract.types import Rendering
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.loading.registry import build
 from edit3r_testing import TrainerContract
 from edit3r_testing.training import tiny_job
+
+from .training_kit import Data, log_of
 
 
 class TestRecolorTrainer(TrainerContract):
@@ -42,37 +36,23 @@ class TestRecolorTrainer(TrainerContract):
 
 
 def _trainer(**settings) -> RecolorTrainer:
-    settings = {
-        "batch": 2,
-        "warmup": 2,
-        "log_every": 1,
-        "validate_every": 2,
-        "render_every": 2,
-        **settings,
-    }
-    return RecolorTrainer(RecolorTrainer.Settings(**settings))
+    usual = {"batch": 2, "warmup": 2, "log_every": 1, "validate_every": 2}
+    given = usual | {"render_every": 2} | settings
+    return RecolorTrainer(RecolorTrainer.Settings(**given))
 
 
 def _job(out, **changes) -> TrainingJob:
     torch.manual_seed(0)
-    reconstructor = build(
-        "reconstructor", "edit3r", weights="untrained", network_size=32
-    )
-    data = build(
-        "dataset",
-        "procedural",
-        image_size=32,
-        scenes=4,
-        targets=1,
-        keep=True,
-        textures=8,
-    )
+    drawn = {"image_size": 32, "scenes": 4, "targets": 1, "keep": True, "textures": 8}
+    data = build("dataset", "procedural", **drawn)
     losses = {
         "mse": (1.0, build("loss", "mse")),
         "geometry": (0.1, build("loss", "geometry", samples=32)),
     }
     job = TrainingJob(
-        reconstructor=reconstructor,
+        reconstructor=build(
+            "reconstructor", "edit3r", weights="untrained", network_size=32
+        ),
         matcher=build("matcher", "classical"),
         rasterizer=build("rasterizer", "torch"),
         train_data=data,
@@ -111,7 +91,7 @@ def test_geometry_is_the_matcher_s_own_where_asked_for_and_the_truth_is_in_its_u
     sample = job.train_data[0]
     matcher = _TrueMatcher(sample, places)
     job = replace(job, matcher=matcher)
-    job = replace(job, train_data=_StopAt([sample], at=-1, number=0))
+    job = replace(job, train_data=Data([sample]))
     recipe = RecolorRecipe(_trainer(batch=2, matched=1.0).settings, job)
     first, second = (recipe._batch(step, Processes()) for step in range(2))
     assert matcher.asked == 1  # once for a scene, however often it is drawn
@@ -134,51 +114,42 @@ def _weights(job) -> dict:
     }
 
 
-class _StopAt:
-    """Data that sends this process a signal when sample number `at` is asked for."""
+def _same(some: dict, others: dict) -> bool:
+    return all(torch.equal(tensor, others[name]) for name, tensor in some.items())
 
-    def __init__(self, data, at: int, number: int) -> None:
-        self.data, self.at, self.number, self.asked = data, at, number, 0
 
-    def __len__(self) -> int:
-        return len(self.data)
+class _StopAt(Data):
+    """Sends this process a SIGTERM when sample number `at` is asked for."""
 
-    at_progress = Dataset.at_progress
+    def __init__(self, data, at: int) -> None:
+        super().__init__(data)
+        self.at, self.asked = at, 0
 
     def __getitem__(self, index: int):
         self.asked += 1
         if self.asked == self.at:
-            signal.raise_signal(self.number)
+            signal.raise_signal(signal.SIGTERM)
         return self.data[index]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "done"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
-def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
-    tmp_path, number, done
-):
-    """Ctrl-C leaves the second step at once; SIGTERM ends it first."""
+def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(tmp_path):
+    """SIGTERM ends the second step first; Ctrl-C is tested with the loop."""
     straight = tiny_job(tmp_path / "straight")
     _trainer(steps=4).train(straight)
     stopped = tiny_job(tmp_path / "stopped")
     # the first is looked at before the first step
-    data = _StopAt(stopped.train_data, at=4, number=number)
-    # ignored in jobs of the background
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    with pytest.raises(KeyboardInterrupt) if number == signal.SIGINT else nullcontext():
-        _trainer(steps=4).train(replace(stopped, train_data=data))
-    signal.signal(signal.SIGINT, before)
-    assert torch.load(tmp_path / "stopped" / LAST, weights_only=True)["step"] == done
+    data = _StopAt(stopped.train_data, at=4)
+    _trainer(steps=4).train(replace(stopped, train_data=data))
+    assert torch.load(tmp_path / "stopped" / LAST, weights_only=True)["step"] == 2
     resumed = replace(tiny_job(tmp_path / "stopped"), resume=True)
     _trainer(steps=4).train(resumed)
-    expected = _weights(straight)
-    for name, tensor in _weights(resumed).items():
-        assert torch.equal(tensor, expected[name]), name
+    assert _same(_weights(resumed), _weights(straight))
     best = [
         safetensors.torch.load_file(tmp_path / run / "best/weights.safetensors")
         for run in ("straight", "stopped")
     ]
-    assert all(torch.equal(best[0][name], best[1][name]) for name in best[0])
+    assert _same(*best)
 
 
 @pytest.mark.slow
@@ -195,12 +166,9 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
         _trainer(steps=1, render_every=1).train(
             replace(job, losses={"broken": (1.0, Broken())})
         )
-    assert all(
-        torch.equal(tensor, before[name]) for name, tensor in _weights(job).items()
-    )
+    assert _same(_weights(job), before)
     assert "step 1 was skipped: its loss 'broken' is nan." in report.warnings
-    line = json.loads((tmp_path / "log.jsonl").read_text().splitlines()[0])
-    assert line["skipped"] == 1
+    assert log_of(tmp_path)[0]["skipped"] == 1
 
 
 def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
@@ -215,14 +183,9 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     report = Report()
     with collecting(report):
         _trainer(steps=2).train(job)
-    assert all(
-        torch.equal(tensor, before[name]) for name, tensor in _weights(job).items()
-    )
+    assert _same(_weights(job), before)
     assert any("too little in common" in warning for warning in report.warnings)
-    assert [
-        json.loads(line)["skipped"]
-        for line in (tmp_path / "log.jsonl").read_text().splitlines()
-    ] == [1, 2]
+    assert [line["skipped"] for line in log_of(tmp_path)] == [1, 2]
 
 
 class _Spy:
@@ -233,19 +196,12 @@ class _Spy:
     def __init__(self, job: TrainingJob, **settings) -> None:
         self.uses_geometry = job.reconstructor.uses_geometry
         self.gives = job.rasterizer.gives
-        self.reconstructor, self.rasterizer, self.network = (
-            job.reconstructor,
-            job.rasterizer,
-            job.reconstructor.network,
-        )
-        job = replace(
-            job,
-            reconstructor=self,
-            rasterizer=self,
-            losses={"spy": (1.0, self.compare)},
-        )
-        settings = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0, **settings}
-        self.recipe = RecolorRecipe(RecolorTrainer.Settings(**settings), job)
+        self.reconstructor, self.rasterizer = job.reconstructor, job.rasterizer
+        self.network = job.reconstructor.network
+        losses = {"spy": (1.0, self.compare)}
+        job = replace(job, reconstructor=self, rasterizer=self, losses=losses)
+        given = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0} | settings
+        self.recipe = RecolorRecipe(RecolorTrainer.Settings(**given), job)
 
     def __call__(self, views, source=None, geometry=None, grid=None):
         self.edited, self.source = views.images, source.images
@@ -264,14 +220,8 @@ class _Spy:
         self.recipe.loss(number, Processes())
 
 
-ONLY_REFERENCE = {
-    "reference": 1,
-    "disagreeing": 0,
-    "agreeing": 0,
-    "unedited": 0,
-    "mask_jitter": 0,
-    "whole_picture": 1,
-}
+ONLY_REFERENCE = {"reference": 1, "disagreeing": 0, "agreeing": 0, "unedited": 0}
+ONLY_REFERENCE |= {"mask_jitter": 0, "whole_picture": 1}
 
 
 def test_renderings_are_compared_with_the_edited_scene_in_every_view(tmp_path):
@@ -301,11 +251,8 @@ def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path
 
 @pytest.mark.slow
 def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
-    # by default half of the time, as in the paper
-    spy, dropped = (
-        _Spy(tiny_job(tmp_path)),
-        0,
-    )
+    """By default half of the time, as in the paper."""
+    spy, dropped = _Spy(tiny_job(tmp_path)), 0
     for number in range(40):
         spy.step(number)
         dropped += spy.shown == {1}
@@ -350,10 +297,8 @@ def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
 def test_training_lowers_the_error_it_is_given(tmp_path):
     job = _job(tmp_path)
     _trainer(steps=9, render_every=0, validate_every=3, lr=3e-3, average=0).train(job)
-    lines = [
-        json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()
-    ]
-    scores = [line["score"] for line in lines if line["kind"] == "validation"]
+    validations = [one for one in log_of(tmp_path) if one["kind"] == "validation"]
+    scores = [line["score"] for line in validations]
     assert min(scores[1:]) < scores[0]
 
 
@@ -362,27 +307,17 @@ def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     best = _trainer(steps=2).train(tiny_job(tmp_path))
     assert (best / "weights.safetensors").is_file()
     assert (tmp_path / "sheets" / "0000002.png").is_file()
-    kinds = [
-        json.loads(line)["kind"]
-        for line in (tmp_path / "log.jsonl").read_text().splitlines()
-    ]
+    kinds = [line["kind"] for line in log_of(tmp_path)]
     assert kinds.count("train") == 2 and kinds.count("validation") == 1
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_data_is_told_how_far_the_training_is(tmp_path, workers):
-    class Noted:
-        def __init__(self, data) -> None:
-            self.data, self.asked = data, set()
+    asked = set()
 
-        def __len__(self) -> int:
-            return len(self.data)
-
-        def __getitem__(self, index: int):
-            return self.data[index]
-
+    class Noted(Data):
         def at_progress(self, index: int, progress: float):
-            self.asked.add(progress)
+            asked.add(progress)
             return self.data[index]
 
     job = tiny_job(tmp_path)
@@ -393,25 +328,17 @@ def test_data_is_told_how_far_the_training_is(tmp_path, workers):
     for batch in range(7):
         recipe.loss(batch, Processes())
     # a worker may be one ahead
-    assert data.asked - {7 / 8} == {batch / 8 for batch in range(7)}
+    assert asked - {7 / 8} == {batch / 8 for batch in range(7)}
 
 
 def test_workers_load_ahead_and_change_nothing(tmp_path):
-    class Noted:
-        def __init__(self, data) -> None:
-            self.data, self.threads = data, set()
-
-        def __len__(self) -> int:
-            return len(self.data)
-
-        at_progress = Dataset.at_progress
-
+    class Noted(Data):
         def __getitem__(self, index: int):
-            self.threads.add(threading.get_ident())
+            threads.add(threading.get_ident())
             warn(f"sample {index}")
             return self.data[index]
 
-    weights, own = [], threading.get_ident()
+    weights, own, threads = [], threading.get_ident(), set()
     for workers in (0, 2):
         job = tiny_job(tmp_path / str(workers))
         data, report = Noted(job.train_data), Report()
@@ -420,10 +347,10 @@ def test_workers_load_ahead_and_change_nothing(tmp_path):
             replace(job, train_data=data),
         )
         recipe.begin()
-        data.threads.clear()
+        threads.clear()
         with collecting(report):
             total = sum(recipe.loss(step, Processes()).total for step in range(3))
-        assert (own in data.threads) == (workers == 0) and report.warnings
+        assert (own in threads) == (workers == 0) and report.warnings
         weights.append(float(total.detach()))
     assert weights[0] == weights[1]
 
@@ -431,11 +358,8 @@ def test_workers_load_ahead_and_change_nothing(tmp_path):
 def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
     job = tiny_job(tmp_path)
     given = [job.train_data[index] for index in range(2)]
-    shares, numbers = (
-        RegimeShares(unedited=1),
-        [step_generator(0, 0, slot) for slot in range(2)],
-    )
-    batch = make_batch(given, shares, numbers, unit="baseline")
+    numbers = [step_generator(0, 0, slot) for slot in range(2)]
+    batch = make_batch(given, RegimeShares(unedited=1), numbers, unit="baseline")
     assert batch.geometry is None  # nobody matched anything
     assert torch.allclose(
         batch.context_cameras.c2w[:, -1, :3, 3].norm(dim=-1), torch.ones(2)
@@ -451,19 +375,12 @@ def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
 def test_rendered_novel_views_of_the_edited_scene_can_be_the_score(tmp_path):
     job = tiny_job(tmp_path)
     _trainer(steps=2, score="renderings", regimes=ONLY_REFERENCE).train(job)
-    lines = [
-        json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()
-    ]
-    (measured,) = [line for line in lines if line["kind"] == "validation"]
+    (measured,) = [one for one in log_of(tmp_path) if one["kind"] == "validation"]
     assert measured["score"] == measured["novel"] > 0 and "uptake" in measured
     _trainer(steps=2, regimes=ONLY_REFERENCE).train(
         replace(job, out=tmp_path / "pixels")
     )
-    lines = [
-        json.loads(line)
-        for line in (tmp_path / "pixels/log.jsonl").read_text().splitlines()
-    ]
-    assert all("novel" not in line for line in lines)
+    assert all("novel" not in line for line in log_of(tmp_path / "pixels"))
 
 
 def test_the_score_of_renderings_is_their_error_to_the_edited_novel_views(tmp_path):
@@ -486,28 +403,19 @@ def test_the_score_of_renderings_is_their_error_to_the_edited_novel_views(tmp_pa
         return held_out_measures(drawn, Processes(), batches, True, None)["score"]
 
     unedited = torch.stack([sample.target for sample in job.validation_data])
-    assert score(batch.target) == 0 and score(batch.target + 0.1) == pytest.approx(
-        0.01, rel=1e-3
-    )
+    assert score(batch.target) == 0
+    assert score(batch.target + 0.1) == pytest.approx(0.01, rel=1e-3)
     assert score(unedited) > 1e-3
 
 
 def test_a_score_of_renderings_without_novel_views_is_a_sentence(tmp_path):
-    class ContextAlone:
-        def __init__(self, data) -> None:
-            self.data = data
-
-        def __len__(self) -> int:
-            return len(self.data)
-
+    class ContextAlone(Data):
         def __getitem__(self, index: int):
             sample = self.data[index]
-            fields = {
-                "target": sample.target[:0],
-                "target_masks": sample.target_masks[:, :0],
-            }
+            none, masks = sample.target[:0], sample.target_masks[:, :0]
+            cameras = sample.target_cameras.select([])
             return replace(
-                sample, **fields, target_cameras=sample.target_cameras.select([])
+                sample, target=none, target_masks=masks, target_cameras=cameras
             )
 
     job = tiny_job(tmp_path)
@@ -531,18 +439,13 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
 
         def __call__(self, views, source=None, geometry=None, grid=None):
             answer = inner(views, source, geometry)
-            return replace(
-                answer,
-                gaussians=answer.gaussians.select(
-                    torch.arange(0, answer.gaussians.count, 2)
-                ),
-            )
+            second = torch.arange(0, answer.gaussians.count, 2)
+            return replace(answer, gaussians=answer.gaussians.select(second))
 
     job = replace(job, reconstructor=Half(), validation_data=None)
     before = inner.network.weight.detach().clone()
-    _trainer(steps=1, colour=0, depth=0, opacity=0, render_every=1, drop_first=0).train(
-        job
-    )
+    off = {"colour": 0, "depth": 0, "opacity": 0, "drop_first": 0}
+    _trainer(steps=1, render_every=1, **off).train(job)
     assert not torch.equal(inner.network.weight, before)
 
 

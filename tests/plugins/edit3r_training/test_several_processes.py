@@ -1,6 +1,5 @@
 """Two gloo processes on a CPU, started as torchrun does, but as forks, which import nothing."""
 
-import json
 import runpy
 from pathlib import Path
 
@@ -9,6 +8,8 @@ import torch
 from edit3r_training.checkpoint import LAST
 
 from edit3r_testing.training import tiny_job
+
+from .training_kit import log_of
 
 pytestmark = pytest.mark.slow
 
@@ -48,12 +49,6 @@ def run(tmp_path_factory, alone) -> Path:
     return out
 
 
-def _lines(folder: Path) -> list[dict]:
-    return [
-        json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()
-    ]
-
-
 def _weights(folder: Path, name: str) -> list[dict]:
     return [torch.load(folder / f"{name}-{rank}.pt") for rank in (0, 1)]
 
@@ -64,12 +59,9 @@ def test_two_processes_with_half_batches_give_one_process_s_weights(run, alone):
         for name, expected in job.reconstructor.network.state_dict().items():
             assert torch.allclose(mine[name], expected, atol=1e-5), name
             assert not torch.allclose(start[name], expected, atol=1e-3), name
-    together, single = (
-        line for folder in (run / "straight", job.out) for line in [_lines(folder)]
-    )
-    for one, other in zip(
-        together, single, strict=True
-    ):  # metrics are those of the whole batch
+    together, single = log_of(run / "straight"), log_of(job.out)
+    # metrics are those of the whole batch
+    for one, other in zip(together, single, strict=True):
         assert one["kind"] == other["kind"] and one["step"] == other["step"]
         names = ("loss", "norm") if one["kind"] == "train" else ("colour", "depth")
         assert all(abs(one[name] - other[name]) < 1e-4 for name in names), (one, other)
@@ -77,7 +69,7 @@ def test_two_processes_with_half_batches_give_one_process_s_weights(run, alone):
 
 def test_one_process_writes(run):
     straight = run / "straight"
-    steps = [line["step"] for line in _lines(straight) if line["kind"] == "train"]
+    steps = [line["step"] for line in log_of(straight) if line["kind"] == "train"]
     assert steps == list(range(1, STEPS + 1))
     assert (straight / "best" / "weights.safetensors").is_file()
     assert torch.load(straight / LAST, weights_only=True)["step"] == STEPS
@@ -87,22 +79,15 @@ def test_a_signal_to_one_process_stops_all_and_resuming_gives_the_straight_run_s
     run,
 ):
     half = _weights(run / "stopped", "half")
-    straight, resumed = (
-        _weights(run / "straight", "weights"),
-        _weights(run / "stopped", "weights"),
-    )
+    straight = _weights(run / "straight", "weights")
+    resumed = _weights(run / "stopped", "weights")
     for name, expected in straight[0].items():
-        assert torch.equal(half[0][name], half[1][name]) and not torch.equal(
-            half[0][name], expected
-        )
-        assert torch.equal(resumed[0][name], expected) and torch.equal(
-            resumed[1][name], expected
-        )
+        assert torch.equal(half[0][name], half[1][name])
+        assert not torch.equal(half[0][name], expected)
+        assert all(torch.equal(one[name], expected) for one in resumed)
 
 
 def test_nothing_of_the_group_outlives_the_training(run):
     """Its threads would run into the end of Python, which aborts the process now and then."""
-    assert [(run / f"group-{rank}.txt").read_text() for rank in (0, 1)] == [
-        "gone",
-        "gone",
-    ]
+    left = [(run / f"group-{rank}.txt").read_text() for rank in (0, 1)]
+    assert left == ["gone", "gone"]

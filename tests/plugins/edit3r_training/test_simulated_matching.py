@@ -10,19 +10,15 @@ DATA = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=4))
 
 def _matches(count: int = 12):
     samples = [DATA[index % 4] for index in range(count)]
-    return [
-        (s, simulate_match(s, np.random.default_rng(i))) for i, s in enumerate(samples)
-    ]
+    draws = map(np.random.default_rng, range(count))
+    return [(one, simulate_match(one, draw)) for one, draw in zip(samples, draws)]
 
 
 def test_measured_depth_is_nearly_right_and_filled_in_depth_less_so():
     measured, filled = [], []
     for sample, match in _matches():
-        gap = (
-            (match.geometry.depths[0] / (sample.context_depths * match.unit))
-            .log()
-            .abs()
-        )
+        true = sample.context_depths * match.unit
+        gap = (match.geometry.depths[0] / true).log().abs()
         sure = match.geometry.confidence[0] > 0.5
         measured.append(float(gap[sure].median()))
         filled.append(float(gap[~sure].mean()))
@@ -34,29 +30,25 @@ def test_poses_are_off_by_tenths_of_a_degree():
     errors = []
     for sample, match in _matches():
         assert torch.equal(match.geometry.c2w[0, 0], torch.eye(4))
-        error = rotation_angle(
-            match.geometry.c2w[0, 1, :3, :3], sample.context_cameras.c2w[0, 1, :3, :3]
-        )
+        poses = match.geometry.c2w, sample.context_cameras.c2w
+        error = rotation_angle(*(c2w[0, 1, :3, :3] for c2w in poses))
         errors.append(float(torch.rad2deg(error)))
     assert 0.02 < np.median(errors) < 1
 
 
 def test_unit_of_length_is_common_to_depths_and_poses():
     for sample, match in _matches(4):
-        baseline = (
-            match.geometry.c2w[0, 1, :3, 3].norm()
-            / sample.context_cameras.c2w[0, 1, :3, 3].norm()
-        )
-        assert np.isclose(float(baseline), match.unit, rtol=1e-4)
+        poses = match.geometry.c2w, sample.context_cameras.c2w
+        found, true = (float(c2w[0, 1, :3, 3].norm()) for c2w in poses)
+        assert np.isclose(found / true, match.unit, rtol=1e-4)
 
 
 def test_same_random_numbers_give_the_same_match():
     first, second = (
         simulate_match(DATA[0], np.random.default_rng(5)).geometry for _ in range(2)
     )
-    assert torch.equal(first.depths, second.depths) and torch.equal(
-        first.c2w, second.c2w
-    )
+    assert torch.equal(first.depths, second.depths)
+    assert torch.equal(first.c2w, second.c2w)
 
 
 def test_a_wall_facing_two_cameras_side_by_side_is_seen_by_both_where_pictures_overlap():

@@ -1,14 +1,14 @@
-"""`edit3r fit-verdict ROWS`: the limits of the signals, from what is known to be good and bad.
+"""The limits of the verdict's signals, from what is known to be good and bad.
 
-A row of ROWS (JSON lines) is an edit (`python benchmarks/verdict.py edits`): its `place`, its
-`fault` (the signal that names it; null: none), its `kind` and its `figures`; a scene
-(`python benchmarks/verdict.py scenes`): its `place`, the `label` that views which no run saw
-deserve, and its `figures`; or what a reconstructor made that is broken on purpose
-(`python benchmarks/broken.py`): its `place`, `kind`, `strength` from 1 to 3 (0: it is sound), and
-its `figures`.
+    python benchmarks/fit_verdict.py ROWS.jsonl [--write]
+
+A row is an edit (`verdict.py edits`): its `place`, its `fault` (the signal that names it; null:
+none), its `kind` and its `figures`; a scene (`verdict.py scenes`): its `place`, the `label` that
+views which no run saw deserve, and its `figures`; or what a reconstructor made that is broken on
+purpose (`broken.py`): its `place`, `kind`, `strength` from 1 to 3 (0: it is sound), and its
+`figures`. --write puts the limits into the package.
 """
 
-import argparse
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
@@ -17,8 +17,10 @@ from statistics import quantiles
 from typing import Any
 
 import yaml
+from edit3r_judge import signals
+from edit3r_judge.signals import SIGNALS, faults_of, fitted_limits
+from harness import run_benchmark
 
-from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
 from edit3r.contract.verdicts import LABELS
 from edit3r.kit.files.configs import read_yaml
@@ -34,41 +36,35 @@ Limits = Mapping[str, Any]
 Outcomes = Iterator[tuple[str, bool]]
 
 
-class FitVerdictCommand(Command):
-    """Fit the limits of the verdict to edits of which it is known whether they are good."""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        known = "edits, or scenes, of which it is known whether they are good, one JSON object each"
-        parser.add_argument("rows", metavar="ROWS", help=known)
-        text = "write the limits into the package"
-        parser.add_argument("--write", action="store_true", help=text)
-
-    def main(self, args: argparse.Namespace) -> int:
-        what, rows = read_rows(args.rows)
-        fit, outcomes = WAYS[what]
-        places = sorted({row["place"] for row in rows})
-        never = places[::NEVER]
-        known = [row for row in rows if row["place"] not in never]
-        limits, without = fit(known), {}
-        for place in {*places} - {*never}:
-            without[place] = fit([row for row in known if row["place"] != place])
-        print(f"{len(known)} {what}s, each by limits without its place")
-        print(report(outcomes(row, without[row["place"]]) for row in known))
-        print(f"never fitted on: {', '.join(never)}")
-        rest = (row for row in rows if row["place"] in never)
-        print(report(outcomes(row, limits) for row in rest))
-        print(json.dumps(limits, indent=1))
-        if args.write:
-            write_limits(
-                {"scene": {"beside": limits}} if what == "part" else {what: limits}
-            )
-        return 0
+def main(rows: Path, *, write: bool = False) -> Iterator[dict[str, str]]:
+    """How often each outcome is right: each place by limits without it, and places that nobody
+    fitted on.
+    """
+    what, found = read_rows(rows)
+    fit, outcomes = WAYS[what]
+    places = sorted({row["place"] for row in found})
+    never = places[::NEVER]
+    known = [row for row in found if row["place"] not in never]
+    limits, without = fit(known), {}
+    for place in {*places} - {*never}:
+        without[place] = fit([row for row in known if row["place"] != place])
+    fitted = counted(outcomes(row, without[row["place"]]) for row in known)
+    rest = counted(outcomes(row, limits) for row in found if row["place"] in never)
+    title = f"never fitted on: {', '.join(never)}"
+    for name in sorted({*fitted, *rest}, key=lambda one: one.startswith(" ")):
+        shown = {"without its place": fitted.get(name, "-"), title: rest.get(name, "-")}
+        yield {f"{len(known)} {what}s": name, **shown}
+    print(json.dumps(limits, indent=1))
+    if write:
+        write_limits(
+            {"scene": {"beside": limits}} if what == "part" else {what: limits}
+        )
 
 
-def read_rows(path: str) -> tuple[str, list[Row]]:
+def read_rows(path: Path) -> tuple[str, list[Row]]:
     """The "edit"s, "scene"s or "part"s of a file. Raises InputError for what is none of them."""
     try:
-        rows = [json.loads(line) for line in Path(path).read_text().splitlines()]
+        rows = [json.loads(line) for line in path.read_text().splitlines()]
         kinds = ("edit", {"fault"}), ("part", {"strength"}), ("scene", {"label"})
         for what, needed in kinds:
             if all(needed | {"place", "figures"} <= {*row} for row in rows):
@@ -82,24 +78,22 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
 
 def write_limits(limits: Limits) -> None:
     """Put limits into the package; what is not in `limits` stays, and the comment on top."""
-    from edit3r_judge.signals import FITTED
+    fitted = signals.FITTED
 
     def merged(old: Any, new: Any) -> Any:
         if isinstance(new, Mapping):
             return old | {key: merged(old.get(key, {}), new[key]) for key in new}
         return float(f"{new:.3g}")
 
-    comment = [line for line in FITTED.read_text().splitlines(True) if line[0] == "#"]
-    kept = yaml.safe_dump(merged(read_yaml(FITTED), limits), sort_keys=False)
-    FITTED.write_text("".join(comment) + kept)
+    comment = [line for line in fitted.read_text().splitlines(True) if line[0] == "#"]
+    kept = yaml.safe_dump(merged(read_yaml(fitted), limits), sort_keys=False)
+    fitted.write_text("".join(comment) + kept)
 
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
     """For each signal the limit between edits without a fault and those with its own; good ones
     count twice: at once, the limit of `torn` differs from place to place.
     """
-    from edit3r_judge.signals import SIGNALS
-
     limits = {}
     for name, signal in SIGNALS.items():
         sign = -1 if signal.at_least else 1
@@ -130,8 +124,6 @@ def is_sound(row: Row) -> bool:
 
 def _is_poor(row: Row) -> bool:
     """Whether the view half-way alone makes a scene poor."""
-    from edit3r_judge.signals import fitted_limits
-
     return row["figures"]["half_way"] > fitted_limits("scene")["fair"]["half_way"]
 
 
@@ -199,8 +191,6 @@ def outcomes_of_parts(row: Row, limits: Limits) -> Outcomes:
 
 def outcomes_of_edits(row: Row, limits: Limits) -> Outcomes:
     """How often the verdict is right, and how often each kind of fault is named as that."""
-    from edit3r_judge.signals import faults_of
-
     fault, said = row["fault"], faults_of(row["figures"], limits)
     if not said:
         yield "called good", fault is None
@@ -209,15 +199,15 @@ def outcomes_of_edits(row: Row, limits: Limits) -> Outcomes:
     yield f"  {row['kind']} called {fault or 'good'}", fault in (said or [None])
 
 
-def report(outcomes: Iterable[Outcomes]) -> str:
-    """A line for each outcome: how often it was right."""
+def counted(outcomes: Iterable[Outcomes]) -> dict[str, str]:
+    """How often each outcome was right."""
     found: dict[str, list[bool]] = {}
     for what, right in chain.from_iterable(outcomes):
         found.setdefault(what, []).append(right)
-    return "\n".join(
-        f"{what:36} {sum(all_)} of {len(all_)} ({sum(all_) / len(all_):.1%})"
-        for what, all_ in sorted(found.items(), key=lambda one: one[0].startswith(" "))
-    )
+    return {
+        what: f"{sum(all_)} of {len(all_)} ({sum(all_) / len(all_):.1%})"
+        for what, all_ in sorted(found.items())
+    }
 
 
 WAYS = {
@@ -226,3 +216,7 @@ WAYS = {
     "part": (limits_of_parts, outcomes_of_parts),
 }
 """How limits are fitted, and what is counted."""
+
+
+if __name__ == "__main__":
+    run_benchmark(main)
