@@ -4,7 +4,6 @@ import gzip
 import json
 import os
 import struct
-import zipfile
 
 import numpy as np
 import pytest
@@ -53,35 +52,6 @@ def test_a_glb_comes_back_exactly(tmp_path):
     back = load_scene(tmp_path / "s.glb")
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
         torch.testing.assert_close(getattr(back, name), getattr(made, name))
-
-
-@pytest.mark.parametrize("given", ["folder", "file"])
-def test_a_sog_in_loose_files_is_read(tmp_path, given):
-    pytest.importorskip("gaussforge", reason="needs the extra export")
-    made = scene()
-    edit3r.build("writer", "sog").write(tmp_path / "s.sog", SceneToWrite(made))
-    with zipfile.ZipFile(tmp_path / "s.sog") as archive:
-        archive.extractall(tmp_path / "loose")
-    place = scene_file(str(tmp_path / "loose"))
-    assert place == tmp_path / "loose/meta.json"
-    back = load_scene(place)
-    apart = torch.cdist(made.means[0], back.means[0])
-    assert back.count == made.count and apart.amin(1).max() < 0.01
-
-
-@pytest.mark.parametrize(
-    ("names", "told"),
-    [
-        (["a.webp"], "a.webp, which does not lie beside"),
-        (["../a"], "no file beside it"),
-    ],
-)
-def test_a_loose_sog_names_files_beside_it(tmp_path, names, told):
-    meta = {"version": 2, "means": {"files": names}}
-    (tmp_path / "meta.json").write_text(json.dumps(meta))
-    (tmp_path.parent / "a").touch()
-    with pytest.raises(InputError, match=told):
-        load_scene(tmp_path / "meta.json")
 
 
 def test_a_damaged_file_is_one_sentence_even_where_the_library_dies_of_it(
