@@ -435,22 +435,6 @@ def test_properties_that_are_not_known_are_named(tmp_path):
     assert len(report.warnings) == 1 and "time_scale;" in report.warnings[0]
 
 
-@pytest.mark.parametrize("unit", [1, 1000])
-def test_sizes_that_cannot_be_logarithms_are_lengths(tmp_path, unit):
-    made = scene(400, degree=0)
-    made = replace(made, means=made.means * unit, scales=made.scales * unit)
-    save_ply(tmp_path / "a.ply", made)
-    with collecting(Report()) as report:
-        torch.testing.assert_close(load_ply(tmp_path / "a.ply").scales, made.scales)
-    assert not report.warnings
-    for axis in range(3):
-        lengths = made.scales[0, :, axis]
-        with_column(tmp_path / "a.ply", f"scale_{axis}", lengths, replaced=True)
-    with collecting(Report()) as report:
-        torch.testing.assert_close(load_ply(tmp_path / "a.ply").scales, made.scales)
-    assert "cannot be logarithms" in report.warnings[0]
-
-
 @pytest.mark.parametrize("kind", ["u1", "<f4"])
 def test_colours_stand_in_for_harmonics(tmp_path, kind):
     save_ply(tmp_path / "a.ply", scene(degree=0))
@@ -526,12 +510,3 @@ def test_a_scene_that_shows_nothing_is_refused_where_it_is_to_be_seen(tmp_path):
     assert load_ply(tmp_path / "a.ply").count == 50
     with pytest.raises(InputError, match=r"a\.ply: shows nothing"):
         load_ply(tmp_path / "a.ply", visible=True)
-
-
-@pytest.mark.parametrize("away, told", [(0, False), (1e4, False), (4e6, True)])
-def test_a_scene_where_numbers_are_too_coarse_for_it_is_told(tmp_path, away, told):
-    gaussians = scene()
-    save_ply(tmp_path / "a.ply", replace(gaussians, means=gaussians.means + away))
-    with collecting(Report()) as report:
-        load_ply(tmp_path / "a.ply")
-    assert ["from the origin" in text for text in report.warnings] == [True] * told
