@@ -557,9 +557,7 @@ def _require_reasoned(
 
 
 def write(writer: Writer, path: Path, scene: SceneToWrite) -> None:
-    """One file, or one folder with something in it, as its suffix says. Raises InputError for a
-    scene that lacks what the writer needs.
-    """
+    """The file or folder of its suffix. Raises InputError for a scene that lacks what it needs."""
     lacking = [name for name in writer.needs if getattr(scene, name) in (None, "", ())]
     if lacking:
         raise InputError(
@@ -581,9 +579,7 @@ def write(writer: Writer, path: Path, scene: SceneToWrite) -> None:
 
 
 def sample(dataset: Dataset, get: Callable[[], SceneSample]) -> SceneSample:
-    """What `get` takes of the dataset: images in [0, 1] with masks, depths and cameras of their
-    size, view 0 at the origin.
-    """
+    """What `get` takes of the dataset: images, masks, depths and cameras of one size."""
     with errors_named_after(dataset):
         taken = get()
     require_type(dataset, taken, SceneSample)

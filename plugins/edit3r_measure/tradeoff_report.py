@@ -14,7 +14,8 @@ from edit3r.contract.errors import Edit3rError, RunError
 from edit3r.kit.command.results import grouped, markdown_table
 from edit3r.kit.compute.lpips import lpips_weights
 from edit3r.kit.provenance import installed_versions
-from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
+from edit3r.running import PRESETS
+from edit3r_measure.tradeoff_points import Expected, MeasuredPoint, Quality
 
 # The numbers of this block: no figures kept.
 # How many times as quick each preset is as the next, at least: the default lies between two.
@@ -123,7 +124,7 @@ def write_presets(quality: Quality) -> Path:
         raise Edit3rError(
             f"the presets stay as they are: no three points lie {APART:g} times apart in time."
         )
-    return write_quality(quality)
+    return quality.write()
 
 
 # ---- the table ----

@@ -29,9 +29,7 @@ __all__ = [
 
 TOLERANCE = 0.03
 SAME_SURFACE = 0.05
-"""Relative difference of depths within which two views show one surface, where nothing asks for
-more.
-"""
+"""Relative difference of depths within which two views usually show one surface."""
 """Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
 shows it too. No figure kept.
 """
@@ -146,9 +144,7 @@ def contradicted(
 
 
 def _better_measured(geometry: Geometry) -> Bool[Tensor, "batch view view"]:
-    """For each view that is mostly guessed the others of which clearly more was measured; none of
-    two: what one of them guesses, nobody else shows.
-    """
+    """For each view that is mostly guessed the others of which clearly more was measured."""
     share = geometry.measured * geometry.registered
     own, other = share[:, :, None], share[:, None]
     several = geometry.registered.sum(1)[:, None, None] > 2

@@ -216,9 +216,7 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, P
 
 
 def _files(given: Iterable[str], photos: Sequence[Names]) -> tuple[list[Path], bool]:
-    """The files that are meant, and whether a folder was. Of a folder that names photos, only these
-    count: it may hold other pictures too.
-    """
+    """The files that are meant (of a folder, those that name photos), and if a folder was."""
     files, folders = [], False
     numbers = {_number(names[0]) for names in photos} - {None}
     for path in (one for text in given for one in expand(text)):

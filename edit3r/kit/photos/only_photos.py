@@ -70,9 +70,7 @@ def _order(file: Path) -> tuple[int, str]:
 
 
 def _is_map_of(file: Path, other: Path) -> bool:
-    """Whether a picture is named after a photo in colour, and see-through, grey or of few colours
-    itself.
-    """
+    """Whether a see-through, grey or few-coloured picture is named after a photo in colour."""
     name, stem = (one.stem.casefold() for one in (file, other))
     if name != stem and not _says_more(name, stem):
         return False
@@ -92,9 +90,7 @@ def _is_grey(pixels: Image) -> bool:
 
 
 def _is_copy_of(file: Path, other: Path) -> bool:
-    """Whether a file shows the photo of that name in another format, where small copies of both are
-    alike, or one needs a package that is missing.
-    """
+    """Whether a file surely shows the photo of that name in another format."""
     if file.stem.casefold() != other.stem.casefold() or _order(file) <= _order(other):
         return False
     try:

@@ -58,9 +58,7 @@ def load_scene(path: str | Path, *, visible: bool = True) -> Gaussians:
 
 
 def _converted(path: Path, form: str) -> Gaussians:
-    """A scene by gaussforge, which leaves positions and axes as they stand in the file: those of
-    SPZ are x right, y up, z backward.
-    """
+    """A scene by gaussforge, which leaves positions and axes as they stand in the file."""
     with tempfile.TemporaryDirectory() as scratch:
         plain = Path(scratch, "scene.ply")
         try:

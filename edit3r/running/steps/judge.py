@@ -135,9 +135,7 @@ def _from_photos(
     size: tuple[int, int],
     rasterizer: Rasterizer,
 ) -> tuple[Rendering, Rendering]:
-    """The scene before any refiner, no larger than critics look, and the final one; drawn once
-    where they are the same.
-    """
+    """The scene before any refiner, at the critics' size, and the final one."""
     before, text = reconstructed.reconstruction.gaussians, "render input views"
     cameras = reconstructed.cameras.at(size)
     drawn = [(gaussians, cameras)]
@@ -218,9 +216,7 @@ def seen_half_way(
     photos: Views | None = None,
     most: int | None = None,
 ) -> HalfWay:
-    """One scene (batch 1) from half-way between each of its `photos` and the nearest one; of more
-    than `most` such places, evenly chosen ones.
-    """
+    """One scene (batch 1) from half-way between neighbours; evenly chosen ones above `most`."""
     between, pairs = half_way(cameras.at(_small(cameras.image_size)))
     if most is not None and len(pairs) > most:
         chosen = torch.linspace(0, len(pairs) - 1, most).round().long().tolist()

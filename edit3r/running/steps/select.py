@@ -109,9 +109,7 @@ def _none_taken(selection: SelectedRegions) -> SelectedRegions:
 
 
 def load(inputs: Inputs, components: Components) -> Inputs:
-    """Move the inputs to the run's device. Raises InputError for fewer photos than the
-    reconstructor needs.
-    """
+    """The inputs on the run's device. Raises InputError for too few photos."""
     with stage("load components"):
         _require_enough(inputs.start, components.reconstructor)
         return inputs.to(components.config.device)
@@ -207,9 +205,7 @@ def _regions(
 def _widened(
     selection: SelectedRegions, inputs: Inputs, components: Components
 ) -> SelectedRegions:
-    """The selection with what editors have to change around the things, such as shadows, and
-    what has to be hidden around them.
-    """
+    """The selection with what editors have to change or hide around the things."""
     if selection.regions is None:
         return selection
     of_tasks = selection.regions.split(
