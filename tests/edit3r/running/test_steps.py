@@ -157,32 +157,12 @@ def test_a_preview_shows_the_views_that_a_run_would_take(views):
         assert seen.selection.masks.shape[1] == 3 and bool(seen.selection.masks.all())
 
 
-@pytest.mark.parametrize(
-    ("answer", "said"),
-    [
-        (lambda v: v.images, "must return edit3r.contract.types.Views, got Tensor"),
-        (lambda v: Views(v.images[..., :4], v.intrinsics), "return images of shape"),
-        (
-            lambda v: Views(v.images.double(), v.intrinsics),
-            "images in torch.float32, got torch.float64",
-        ),
-        (lambda v: Views(v.images * 2, v.intrinsics), r"images in \[0, 1\], got"),
-        (lambda v: Views(v.images * float("not finite"), v.intrinsics), "not finite"),
-    ],
-)
-def test_an_editor_that_breaks_its_contract_is_named(views, answer, said):
-    with pytest.raises(PluginError, match=said):
-        run(views, "x", editor=Answer(answer), recon=Flat())
-
-
-@pytest.mark.parametrize(
-    "field", ["means", "scales", "quats", "opacities", "harmonics"]
-)
-def test_a_reconstruction_that_is_not_finite_is_an_error_that_names_the_field(
-    views, field
-):
-    with pytest.raises(PluginError, match=field):
-        run(views, "x", editor=Invert(), recon=Flat(spoil=field))
+def test_an_editor_or_a_reconstruction_that_breaks_its_contract_is_named(views):
+    with pytest.raises(PluginError, match="return images of shape"):
+        small = Answer(lambda v: Views(v.images[..., :4], v.intrinsics))
+        run(views, "x", editor=small, recon=Flat())
+    with pytest.raises(PluginError, match="means with"):
+        run(views, "x", editor=Invert(), recon=Flat(spoil="means"))
 
 
 def test_masks_of_the_wrong_size_are_an_error_with_both_sizes(views):
