@@ -26,6 +26,9 @@ from torch.nn.functional import interpolate
 from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import Instruction
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 MAX_DEGREE = 4
 
 DC = 0.28209479177387814
@@ -34,6 +37,7 @@ DC = 0.28209479177387814
 DISC_THICKNESS = 1e-3
 """Thickness of a disc with two scales, as 2DGS has them, in its smaller one."""
 Moved = TypeVar("Moved")
+Record = TypeVar("Record", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,15 +64,15 @@ class Tensors:
 
 
 def along(
-    record: Moved, axis: str, index: slice | list[int] | Tensor, **changes: Any
-) -> Moved:
+    record: Record, axis: str, index: slice | list[int] | Tensor, **changes: Any
+) -> Record:
     """A record with `index` alone of an axis that the shapes of its fields name, and `changes`."""
     for one in fields(record):
         value = getattr(record, one.name)
         shape = next(filter(None, map(_shape_of, (one.type, *get_args(one.type)))), [])
         if isinstance(value, Tensor) and axis in shape:
-            before = (slice(None),) * shape.index(axis)
-            changes.setdefault(one.name, value[(*before, index)])
+            place = [*[slice(None)] * shape.index(axis), index]
+            changes.setdefault(one.name, value[tuple(place)])
     return replace(record, **changes)
 
 
