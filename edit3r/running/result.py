@@ -19,7 +19,6 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     DRAWING,
-    Candidate,
     Editor,
     OtherCandidates,
     Rasterizer,
@@ -417,7 +416,8 @@ def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
         columns,
         names=photos.names,
         title=prompt or "no prompt",
-        subtitle=_preview_line(preview),
+        subtitle="preview: nothing is reconstructed yet"
+        + _answers(preview.selection, preview.edit and preview.edit.verdict),
     )
     candidates = _other_candidates(preview.selection.selected, photos)
     return with_candidates(sheet, candidates)
@@ -432,21 +432,13 @@ def _other_candidates(
         if selected.is_sure or len(selected.candidates) < 2:
             continue
         view = selected.candidates[0].view
-        masks = {_chosen_by(one, selected): one.mask for one in selected.candidates}
+        masks = {}
+        for one in selected.candidates:
+            taken = " (taken)" if one.number == selected.taken else ""
+            masks[f"--candidate {one.number}{taken}"] = one.mask
         photo = images_of(photos)[view]
         candidates.append(OtherCandidates(photo, photos.names[view], masks))
     return tuple(candidates)
-
-
-def _chosen_by(candidate: Candidate, selected: Selected) -> str:
-    taken = " (taken)" if candidate.number == selected.taken else ""
-    return f"--candidate {candidate.number}{taken}"
-
-
-def _preview_line(preview: Preview) -> str:
-    line = "preview: nothing is reconstructed yet"
-    edit = None if preview.edit is None else preview.edit.verdict
-    return line + _answers(preview.selection, edit)
 
 
 def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:

@@ -7,9 +7,8 @@ import torch
 from torch import nn
 
 from edit3r.contract.interfaces import FindsGeometry, Reconstructor
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction
-from edit3r.kit.geometry.cameras import unproject
-from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.contract.types import Cameras, Reconstruction
+from edit3r.kit.geometry.cameras import pixels_to_gaussians
 from edit3r_testing import ContractViolation, ReconstructorContract
 from edit3r_testing.network import TinyBackbone
 from edit3r_testing.scenes import true_geometry
@@ -33,25 +32,13 @@ class Flat(Reconstructor):
         self.calls += 1
         if self.before:
             self.before(views, source)
-        batch, count, _, height, width = views.images.shape
-        total = count * height * width
-        c2w = torch.eye(4).expand(batch, count, 4, 4).clone()
-        points = unproject(
-            torch.full((batch, count, height, width), 3.0), views.intrinsics, c2w
-        )
-        gaussians = Gaussians(
-            points.reshape(batch, total, 3),
-            torch.full((batch, total, 3), 0.01),
-            torch.tensor([1.0, 0, 0, 0]).expand(batch, total, 4),
-            torch.full((batch, total), 0.5),
-            colour_to_dc(self.gain.weight * views.images.movedim(2, -1)).reshape(
-                batch, total, 1, 3
-            ),
-            torch.arange(count).repeat_interleave(height * width),
-        )
-        answer = Reconstruction(
-            gaussians, Cameras(c2w, views.intrinsics, views.image_size)
-        )
+        ones = torch.ones_like(views.images[:, :, 0])
+        c2w = torch.eye(4).expand(*ones.shape[:2], 4, 4).clone()
+        cameras = Cameras(c2w, views.intrinsics, views.image_size)
+        colours = self.gain.weight * views.images
+        sizes = 0.01 * ones, 0.5 * ones
+        made = pixels_to_gaussians(colours, 3 * ones, cameras, *sizes)
+        answer = Reconstruction(made, cameras)
         return self.spoil(self, views, answer) if self.spoil else answer
 
 

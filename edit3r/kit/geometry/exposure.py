@@ -174,7 +174,7 @@ def _of_scene(
         for first, second in _near_pairs(geometry, scene)
     ]
     pairs = [pair for pair in pairs if pair.tells]
-    middles = [_middles(pair) for pair in pairs]
+    middles = [(one.own.median(0).values, one.other.median(0).values) for one in pairs]
     # In one light gain * spread of both are alike, and gain * middle + offset.
     ratios = [_log_ratio(pair, *both) for pair, both in zip(pairs, middles)]
     gain = _settled(pairs, ratios, count).exp().clamp(1 / MAX_GAIN, MAX_GAIN)
@@ -190,10 +190,6 @@ def _of_scene(
     gain[own_light] = 1.0
     offset[own_light] = 0.0
     return gain, offset
-
-
-def _middles(pair: _Pair) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
-    return pair.own.median(0).values, pair.other.median(0).values
 
 
 def _log_ratio(

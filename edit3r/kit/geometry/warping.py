@@ -83,7 +83,8 @@ def contradicted(
     through, confirmed = (
         torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2)
     )
-    for view, other in _near_views(geometry):
+    nearest_others = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
+    for view, other in ((a, b) for a, row in enumerate(nearest_others) for b in row):
         grid, seen, z = _seen_there(
             points[:, view],
             surfaces[:, other],
@@ -106,12 +107,6 @@ def _better_measured(geometry: Geometry) -> Bool[Tensor, "batch view view"]:
     own, other = share[:, :, None], share[:, None]
     several = geometry.registered.sum(1)[:, None, None] > 2
     return several & (own < LITTLE_MEASURED) & (other > own + CLEARLY_MORE)
-
-
-def _near_views(geometry: Geometry) -> list[tuple[int, int]]:
-    """Each view with each other one, or with the `NEAR_VIEWS` nearest to it."""
-    nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
-    return [(view, other) for view, row in enumerate(nearest) for other in row]
 
 
 def nearest_views(

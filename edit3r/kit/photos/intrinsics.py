@@ -108,7 +108,8 @@ class IntrinsicsFinder:
                     mask=camera_file.folder / camera.mask if camera.mask else None,
                 )
         if self.fov is not None:
-            return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
+            lens = intrinsics_from_fov(math.radians(self.fov), size).double()
+            return Intrinsics(lens, f"--fov {self.fov:g}")
         if image.focal is not None:
             return Intrinsics(_from_focal(image.focal, size), image.focal_source)
         focal = 0.5 * max(size) / math.tan(math.radians(DEFAULT_FOV) / 2)
@@ -247,10 +248,6 @@ class _CameraFile:
 def _key(name: str) -> str:
     """Equal for two names that some system takes for one: by case, or how accents are written."""
     return unicodedata.normalize("NFC", name.rpartition("/")[2]).casefold()
-
-
-def _from_fov(fov: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:
-    return intrinsics_from_fov(math.radians(fov), size).double()
 
 
 def _from_focal(focal: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:

@@ -4,6 +4,7 @@ import gzip
 import json
 import os
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,18 +20,11 @@ from edit3r.kit.scenes import reading as read
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import SIDES, from_outside, look_at
 from edit3r.kit.scenes.reading import load_scene
+from edit3r_testing.scenes import gaussian_cloud
 
 
 def scene(count=50, degree=1, **more):
-    generator = torch.Generator().manual_seed(0)
-    return Gaussians(
-        torch.randn(1, count, 3, generator=generator) + torch.tensor([1.0, 2, 5]),
-        torch.full((1, count, 3), 0.1),
-        torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
-        torch.full((1, count), 0.9),
-        0.1 * torch.randn(1, count, (degree + 1) ** 2, 3, generator=generator),
-        **more,
-    )
+    return replace(gaussian_cloud(count, degree=degree), **more)
 
 
 @pytest.mark.parametrize("name", ["renamed.ply", "renamed.spz", "no suffix"])

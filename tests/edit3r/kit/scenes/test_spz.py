@@ -18,22 +18,13 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped
 from edit3r.kit.scenes.reading import load_scene
+from edit3r_testing.scenes import gaussian_cloud
 
 pytest.importorskip("gaussforge", reason="needs the extra export")
 
 
 def scene(count=40, degree=0):
-    generator = torch.Generator().manual_seed(0)
-    coefficients = (degree + 1) ** 2
-    return Gaussians(
-        torch.randn(1, count, 3, generator=generator) + torch.tensor([0, 0, 5.0]),
-        0.05 + 0.2 * torch.rand(1, count, 3, generator=generator),
-        torch.nn.functional.normalize(
-            torch.randn(1, count, 4, generator=generator), dim=-1
-        ),
-        0.2 + 0.7 * torch.rand(1, count, generator=generator),
-        0.3 * torch.randn(1, count, coefficients, 3, generator=generator),
-    )
+    return gaussian_cloud(count, degree=degree)
 
 
 def quantised(values, factor, offset, kind=np.uint8):
