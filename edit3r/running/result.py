@@ -410,14 +410,15 @@ def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
     photos, masks = preview.inputs.photos, preview.selection.masks
     outlined = outlined_views(images_of(photos), None if masks is None else masks[0])
     columns = {"photo": outlined}
+    verdict = None if preview.edit is None else preview.edit.verdict
+    answers = _answers(preview.selection, verdict)
     if preview.edit is not None:
         columns["2D edit"] = images_of(preview.edit.views)
     sheet = draw_sheet(
         columns,
         names=photos.names,
         title=prompt or "no prompt",
-        subtitle="preview: nothing is reconstructed yet"
-        + _answers(preview.selection, preview.edit and preview.edit.verdict),
+        subtitle=f"preview: nothing is reconstructed yet{answers}",
     )
     candidates = _other_candidates(preview.selection.selected, photos)
     return with_candidates(sheet, candidates)
