@@ -9,18 +9,20 @@ import math
 import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
+import cv2
 import numpy as np
 from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
 from edit3r.contract.errors import InputError, MissingDependencyError, one_line
 from edit3r.contract.reporting import warn
 from edit3r.kit.files.atomic import digest_of
+from edit3r.kit.photos.damage import damage_of
 
 Answer = TypeVar("Answer")
 
@@ -38,7 +40,7 @@ MAX_LAYERS = 8
 
 SUFFIXES = (
     *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
-    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
+    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2", ".jps", ".pns"),
 )
 """Files taken from a folder; a file given by itself may be called anything."""
 
@@ -65,14 +67,23 @@ WIDEST = 2.25  # long by short side of what a lens took at once; a sanity limit
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
 # Tags of TIFF.
-_DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_LENGTH = 50706, 254, 257
-_BITS, _PHOTOMETRIC, _PLANAR = 258, 262, 284
+_DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_WIDTH, _IMAGE_LENGTH = 50706, 254, 256, 257
+_BITS, _PHOTOMETRIC, _PLANAR, _ROWS_PER_STRIP = 258, 262, 284, 278
+_STRIP_SIZES, _TILE_WIDTH, _TILE_LENGTH, _TILE_SIZES = 279, 322, 323, 325
 
 _PROJECTION = re.compile(
     rb"GPano:ProjectionType\W{1,9}(equirectangular|cylindrical|cube\w{0,9}|fisheye)",
     re.I,
 )
+_HEAD = 1 << 16  # bytes in which a file says how its colours are coded
+# The transfer functions PQ (16) and HLG (18) of ITU-T H.273, in a PNG's chunk cICP and in the box
+# colr of HEIC and AVIF.
+_BRIGHT = re.compile(rb"cICP.[\x10\x12]|colrnclx..\x00[\x10\x12]", re.DOTALL)
 _JPEG = ("JPEG", "MPO")
+_GAIN_MAP = (
+    b"hdr-gain-map"  # in the XMP of a JPEG with a second picture for bright screens
+)
+_SIDE_BY_SIDE = (".jps", ".pns")  # the two pictures of a stereo camera in one
 _OPENING = threading.Lock()  # while Pillow's own limit is set aside
 
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
@@ -156,11 +167,15 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
     path = Path(path)
     with _opened(path) as (image, file):
         _check_size(image, path)
+        _check_whole(image, path)
         _check_flat(image, path)
+        _check_stereo(image, file, path)
+        _tell_damage(image, file, path)
+        _tell_bright(file, path)
         digest = _from_start(file, digest_of)
         try:
             _draft(image, enough)
-            stored = _loaded(image, path)
+            stored = _loaded(image, file, path)
             turn = _orientation(image, path)
             pixels, alpha = _to_srgb(stored, path)
             upright = _upright(pixels, turn)
@@ -281,6 +296,28 @@ def _check_tiff(image: Image.Image, path: Path) -> None:
             )
 
 
+def _check_whole(image: Image.Image, path: Path) -> None:
+    """Raise InputError for a TIFF without some of its strips or tiles, which would be black."""
+    if image.format != "TIFF":
+        return
+    tags = image.tag_v2  # type: ignore[attr-defined]
+    bits = tags.get(_BITS, (1,))
+    planar = tags.get(_PLANAR) == 2
+    parts = tags.get(_STRIP_SIZES, tags.get(_TILE_SIZES, ()))
+    expected = _parts_of(tags) * (len(bits) if planar else 1)
+    if len(parts) < expected or not all(parts):
+        raise InputError(f"{path}: parts of the image are missing; copy it again.")
+
+
+def _parts_of(tags: Mapping[int, Any]) -> int:
+    """How many strips or tiles the image of a TIFF has."""
+    width, height = tags[_IMAGE_WIDTH], tags[_IMAGE_LENGTH]
+    across = math.ceil(width / tags.get(_TILE_WIDTH, width))
+    return across * math.ceil(
+        height / tags.get(_TILE_LENGTH, tags.get(_ROWS_PER_STRIP, height))
+    )
+
+
 def _check_size(image: Image.Image, path: Path) -> None:
     """Raise InputError for an image, or pieces of it, that would take too long to decode."""
     width, height = image.size
@@ -327,6 +364,49 @@ def _check_flat(image: Image.Image, path: Path) -> None:
         )
 
 
+def _check_stereo(image: Image.Image, file: BinaryIO, path: Path) -> None:
+    """Raise InputError for two pictures in one, and warn of a second one of the same size."""
+    parts = getattr(image, "applist", ())
+    if path.suffix.lower() in _SIDE_BY_SIDE or any(
+        name == "APP3" and content.startswith(b"_JPSJPS_") for name, content in parts
+    ):
+        raise InputError(
+            f"{path}: a stereo photo with both pictures side by side; cut it in two, and give both."
+        )
+    is_bright = _GAIN_MAP in (image.info.get("xmp") or b"")
+    if image.format == "MPO" and not is_bright and _second_size(file) == image.size:
+        warn(
+            f"{path}: holds two pictures of one size, as stereo cameras make them; the first is "
+            "used. Save the other as a file of its own to use both."
+        )
+
+
+def _second_size(file: BinaryIO) -> tuple[int, int] | None:
+    """(width, height) of the second picture in a file; None where there is none to be read."""
+    content = io.BytesIO(_from_start(file, lambda file: file.read()))
+    # a damaged one, which is not used, raises almost anything
+    with contextlib.suppress(Exception), Image.open(content, formats=FORMATS) as image:
+        image.seek(1)
+        return image.size
+    return None
+
+
+def _tell_damage(image: Image.Image, file: BinaryIO, path: Path) -> None:
+    if image.format in _JPEG and (damage := _from_start(file, damage_of)):
+        warn(
+            f"{path}: damaged inside ({damage}), so parts of it may be grey or shifted; copy it "
+            "again from where it comes."
+        )
+
+
+def _tell_bright(file: BinaryIO, path: Path) -> None:
+    if _BRIGHT.search(_from_start(file, lambda file: file.read(_HEAD))):
+        warn(
+            f"{path}: coded for bright screens (HDR), which is not undone: its colours are dull; "
+            "export it as sRGB."
+        )
+
+
 def _draft(image: Image.Image, enough: int | None) -> None:
     """Let a large JPEG be decoded at a half, a quarter or an eighth, where that is enough."""
     if enough is None or math.prod(image.size) <= WHOLE_PIXELS:
@@ -339,16 +419,22 @@ def _draft(image: Image.Image, enough: int | None) -> None:
 # Pixels
 
 
-def _loaded(image: Image.Image, path: Path) -> Image.Image:
+def _loaded(image: Image.Image, file: BinaryIO, path: Path) -> Image.Image:
     """The first image of the file, decoded, with 8 bits per channel."""
     # MPO: phones keep a preview behind the photo. The number of images is not asked for, because
     # counting those of a TIFF can take minutes.
     if getattr(image, "is_animated", False) and image.format != "MPO":
         warn(f"{path}: holds several images; the first is used.")
+    is_16_bit = any(";16" in str(piece[3]) for piece in getattr(image, "tile", ()))
     image.load()
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
         return _from_deep_grey(image, path)
-    return image  # of 16-bit colour Pillow keeps the high byte
+    # Pillow keeps the high byte of 16-bit colour.
+    if is_16_bit:
+        highest = int(np.asarray(image.convert("RGB")).max())
+        bits = _bits_used(256 * highest + 255, path)
+        return image if bits == 16 else _low_bits(file, bits)
+    return image
 
 
 def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
@@ -364,7 +450,28 @@ def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
     if is_float:
         levels = values * (255 if high <= 1 else 1)
         return Image.fromarray(np.rint(levels).astype(np.uint8))
-    return Image.fromarray((values >> 8).astype(np.uint8))
+    values = values >> (_bits_used(int(high), path) - 8)
+    return Image.fromarray(values.astype(np.uint8))
+
+
+def _low_bits(file: BinaryIO, bits: int) -> Image.Image:
+    """16-bit colour by so many low bits, without its colour profile."""
+    coded = np.frombuffer(_from_start(file, lambda file: file.read()), np.uint8)
+    pixels = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
+    pixels = (pixels >> (bits - 8)).clip(0, 255).astype(np.uint8)
+    channels = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's order is BGR
+    return Image.fromarray(np.ascontiguousarray(pixels[..., channels]))
+
+
+def _bits_used(highest: int, path: Path) -> int:
+    """How many of 16 bits a file uses whose highest value this is; said where it is fewer."""
+    bits = next((bits for bits in (8, 10, 12) if highest < 1 << bits), 16)
+    if bits < 16 and highest:
+        warn(
+            f"{path}: holds 16-bit values of {(1 << bits) - 1} at most; they are taken as "
+            f"{bits}-bit ones."
+        )
+    return bits
 
 
 def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image | None]:

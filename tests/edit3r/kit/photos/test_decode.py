@@ -65,17 +65,21 @@ def test_all_exif_orientations_come_back_upright(tmp_path, pattern, orientation)
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_sixteen_bits_keep_their_high_byte(tmp_path, pattern, suffix, channels):
+def test_sixteen_bits_keep_their_high_byte_or_are_those_of_eight(
+    tmp_path, pattern, suffix, channels
+):
     path = tmp_path / f"a.{suffix}"
     alpha = np.full_like(pattern[..., :1], 255)
     pixels = np.concatenate((pattern, alpha), 2)[..., [2, 1, 0, 3][:channels]]
     shown = pattern if channels > 1 else pattern[..., 2:].repeat(3, -1)
     deep = pixels.astype(np.uint16)
-    for values in (deep * 257, (deep << 8) + 77):
+    for values in (deep * 257, (deep << 8) + 77, deep):
         if channels == 4:
-            values[..., 3] = 65535
+            values[..., 3] = 65535 if values.max() > 255 else 255
         cv2.imwrite(str(path), values)
-        assert difference(path, shown) == 0
+        with collecting(Report()) as report:
+            assert difference(path, shown) == 0
+        assert bool(report.warnings) == (values.max() <= 255)
 
 
 @pytest.mark.parametrize("mode", ["L", "1", "P"])
@@ -377,6 +381,10 @@ def tiff(path, kind):
         tags = file.pages[0].tags
         if kind == "12 bits":
             tags["BitsPerSample"].overwrite(12)
+        if kind == "an empty strip":
+            tags["StripByteCounts"].overwrite([800, 0, 800])
+        if kind == "a strip too few":
+            tags["ImageLength"].overwrite(50)
 
 
 @pytest.mark.parametrize(
@@ -385,11 +393,25 @@ def tiff(path, kind):
         ("planar", "each channel by itself"),
         ("white is zero", "0 as white"),
         ("12 bits", "12 bits per channel"),
+        ("an empty strip", "parts of the image are missing"),
+        ("a strip too few", "parts of the image are missing"),
     ],
 )
 def test_a_tiff_that_would_be_read_wrongly_is_refused(tmp_path, kind, told):
     tiff(tmp_path / "a.tif", kind)
     assert told in complain(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+@pytest.mark.parametrize("colour", [True, False])
+def test_fewer_bits_than_16_are_told_by_the_values(tmp_path, bits, colour):
+    values = (np.arange(256, dtype=np.uint16) << (bits - 8)).reshape(16, 16)
+    values = np.stack([values] * 3, 2) if colour else values
+    (tmp_path / "a.png").write_bytes(cv2.imencode(".png", values)[1])
+    with collecting(Report()) as report:
+        pixels = np.asarray(read_image(tmp_path / "a.png"))
+    assert f"taken as {bits}-bit" in report.warnings[0]
+    assert (pixels[..., 0] == np.arange(256).reshape(16, 16)).all()
 
 
 def test_the_gamma_of_a_png_is_undone_but_not_beside_srgb(tmp_path):

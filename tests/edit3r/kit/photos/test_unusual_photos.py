@@ -1,7 +1,8 @@
-"""Photos: very large, of all around; and turned TIFFs."""
+"""Photos: very large, of all around, for bright screens, damaged inside; and turned TIFFs."""
 
 import io
 import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 from skimage import data
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos import decode as module
 from edit3r.kit.photos.decode import decode, image_size
 from edit3r.kit.photos.images import load_photos
@@ -21,6 +23,12 @@ def coded(image=PHOTO, **options):
     content = io.BytesIO()
     image.save(content, "JPEG", quality=90, **options)
     return content.getvalue()
+
+
+def said(call, *args):
+    with collecting(Report()) as report:
+        answer = call(*args)
+    return answer, " ".join(report.warnings)
 
 
 # Large
@@ -128,6 +136,86 @@ def test_xmp_of_an_ordinary_photo_is_passed_over(tmp_path):
     assert decode(tmp_path / "a.jpg").pixels.size == (60, 30)
 
 
+# For bright screens
+
+
+def png_of(values, *coding):
+    """A PNG of 8 bits in this coding (H.273: primaries, transfer)."""
+    content = io.BytesIO()
+    Image.fromarray(values).save(content, "PNG")
+    content = content.getvalue()
+    body = b"cICP" + bytes([*coding, 0, 1])
+    chunk = struct.pack(">I", 4) + body + struct.pack(">I", zlib.crc32(body))
+    return content[:33] + chunk + content[33:]
+
+
+def grey(level):
+    return np.full((4, 4, 3), level, np.uint8)
+
+
+@pytest.mark.parametrize("transfer", [1, 13, 16, 18])
+def test_a_picture_for_bright_screens_is_said_to_be_dull(tmp_path, transfer):
+    """PQ (16) and HLG (18) of H.273; 13 is sRGB, 1 that of television."""
+    (tmp_path / "a.png").write_bytes(png_of(grey(100), 9, transfer))
+    image, told = said(decode, tmp_path / "a.png")
+    assert np.asarray(image.pixels).tolist() == grey(100).tolist()
+    assert ("bright screens" in told) == (transfer in (16, 18))
+
+
+@pytest.mark.parametrize("kind", ["heic", "avif"])
+def test_heic_and_avif_say_it_in_their_own_way(kind):
+    """In their box colr."""
+    head = struct.pack(">I4s4s", 24, b"ftyp", kind.encode()) + bytes(20)
+    box = struct.pack(">I4s4sHHHB", 19, b"colr", b"nclx", 9, 16, 9, 128)
+    _, told = said(module._tell_bright, io.BytesIO(head + box + bytes(100)), "a")
+    assert "bright screens" in told
+
+
+# Damaged inside
+
+
+def changed(content, at, put, drop=0):
+    place = round(len(content) * at)
+    return content[:place] + put + content[place + len(put) + drop :]
+
+
+NOISE = np.random.default_rng(0).integers(0, 255, 3000, np.uint8).tobytes()
+DAMAGED = {
+    "zeros": changed(coded(), 0.5, bytes(4096)),
+    "noise": changed(coded(), 0.5, NOISE),
+    "early": changed(coded(), 0.2, NOISE),
+    "late": changed(coded(), 0.8, NOISE),
+    "a part missing": changed(coded(), 0.5, b"", 3000),
+    "cut off, with an end": coded()[: len(coded()) * 2 // 3] + b"\xff\xd9",
+    "progressive, zeros": changed(coded(progressive=True), 0.5, bytes(4096)),
+    "progressive, noise": changed(coded(progressive=True), 0.5, NOISE),
+    "grey": changed(coded(PHOTO.convert("L")), 0.5, NOISE),
+}
+
+
+@pytest.mark.parametrize("content", DAMAGED.values(), ids=DAMAGED)
+def test_a_jpeg_damaged_inside_is_named(tmp_path, content, capfd):
+    (tmp_path / "a.jpg").write_bytes(content)
+    _, told = said(decode, tmp_path / "a.jpg")
+    assert "a.jpg: damaged inside" in told
+    assert "Corrupt" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        coded(),
+        coded(progressive=True),
+        coded() + bytes(5000),
+        coded()[:-2] + b"\x00\x00\xff\xd9",
+    ],
+    ids=["whole", "progressive", "something behind", "two bytes too many"],
+)
+def test_a_whole_jpeg_is_not(tmp_path, content):
+    (tmp_path / "a.jpg").write_bytes(content)
+    assert said(decode, tmp_path / "a.jpg")[1] == ""
+
+
 # Turned TIFFs
 
 
@@ -153,3 +241,38 @@ def test_a_turned_tiff_is_upright_in_every_mode(tmp_path, mode, orientation):
     found = np.asarray(decode(tmp_path / "a.tif").pixels)
     np.testing.assert_array_equal(found, turns[orientation])
     assert image_size(tmp_path / "a.tif") == found.shape[:2]
+
+
+def test_two_pictures_side_by_side_are_refused_whatever_they_are_called(tmp_path):
+    picture = Image.new("RGB", (40, 20))
+    picture.save(tmp_path / "a.jps", "JPEG")
+    picture.save(tmp_path / "plain.jpg")
+    content = (tmp_path / "plain.jpg").read_bytes()
+    marker = b"\xff\xe3\x00\x0c_JPSJPS_\x00\x00"
+    (tmp_path / "b.jpg").write_bytes(content[:2] + marker + content[2:])
+    for name in ("a.jps", "b.jpg"):
+        with pytest.raises(InputError, match="cut it in two"):
+            decode(tmp_path / name)
+
+
+@pytest.mark.parametrize(("second", "said"), [((40, 20), 1), ((20, 10), 0)])
+def test_the_second_picture_of_a_stereo_camera_is_named_and_a_preview_is_not(
+    tmp_path, second, said
+):
+    left, other = Image.new("RGB", (40, 20), "red"), Image.new("RGB", second, "blue")
+    left.save(tmp_path / "a.mpo", "MPO", save_all=True, append_images=[other])
+    with collecting(Report()) as report:
+        red, _, blue = decode(tmp_path / "a.mpo").pixels.getpixel((5, 5))
+    assert red > 200 and blue < 50
+    assert ["two pictures of one size" in one for one in report.warnings] == [
+        True
+    ] * said
+
+
+def test_a_damaged_second_picture_does_not_cost_the_first(tmp_path):
+    left = Image.new("RGB", (40, 20), "red")
+    left.save(tmp_path / "a.mpo", "MPO", save_all=True, append_images=[left])
+    content = (tmp_path / "a.mpo").read_bytes()
+    second = content.rindex(b"\xff\xd8")
+    (tmp_path / "a.mpo").write_bytes(content[:second] + bytes(len(content) - second))
+    assert decode(tmp_path / "a.mpo").pixels.getpixel((5, 5))[0] > 200
