@@ -17,57 +17,74 @@ from torch import Tensor
 
 from edit3r.kit.photos.images import Pixels, to_bytes
 
-# Chosen by hand, but for RATIO; of 160 cases 92 % are put right or named (docs/notes/ledger.md).
-# the pictures that are compared
-MAX_SIDE = 384  # longer side of their copies [pixels]
-MIN_SIDE = 32  # shorter side of a copy below which no edit is judged [pixels]
-UNIFORM_RANGE = (
-    8  # range of each channel up to which pixels are one colour [levels of 255]
-)
-BLACK_LEVEL = (
-    16  # brightest channel of a picture of one colour that is black [levels of 255]
-)
-PAPER_SIGMA = (
-    3.0  # of the Gaussian whose mean is the paper beside a drawn line [pixels]
-)
-# tiles, whose shifts phase correlation measures
-MIN_TILE_SIDE = 40  # [pixels]
-MAX_TILES = 4  # along the longer side; along the other one fewer
-MIN_RESPONSE = (
-    0.1  # of the phase correlation, in [0, 1], below which a tile is left out
-)
-MIN_STRUCTURE = 0.5  # standard deviation of its edges below which a tile is left out
-MAX_SHIFT = 0.4  # with which a tile counts as in place [pixels]
-MAX_SHIFT_UNDONE = (
-    0.8  # the same once a motion was undone, which is known less exactly [pixels]
-)
-MIN_IN_PLACE = 0.5  # share of the tiles above which an edit lies on a photo
-# when a motion is believed
-FEATURES = 1500  # SIFT features of a picture, at most
-RATIO = 0.8  # distance of the nearest feature over the second's for a match (Lowe 2004)
-MAX_RESIDUAL = 1.5  # of a match that agrees with a map, in RANSAC [pixels]
-MIN_MATCHES = 12  # that must agree with a map
-AFFINE_GAIN = (
-    1.25  # how many times a similarity's matches an affine map must explain to be taken
-)
-MIN_MOTION = 0.6  # of a corner, below which nothing moved [pixels]
-MIN_GAIN = 0.25  # share of the tiles that undoing a motion must bring in place
-SURE_IN_PLACE = 0.9  # share of the tiles in place from which no other photo is tried
-MIN_OVERLAP = (
-    0.15  # share of its photo that an edit must show for a motion to be looked at
-)
-MIN_SHOWN = 0.65  # share of its photo that an edit must show to be moved back
-FILL_SIGMA = (
-    0.02  # of what smooths the change carried into what left the picture [longer sides]
-)
-# when an edit is at fault
-MIN_BAR = 0.03  # share of a side from which a border of one colour is a bar
-MIN_LIKENESS = (
-    0.25  # correlation of edges below which an edit shows nothing of its photo
-)
-MIN_DISPLACEMENT = (
-    1.5  # median motion of matches that no map explains, above which it is named
-)
+
+@dataclass(frozen=True)
+class AlignmentSettings:
+    """What decides whether an edit lies on its photo.
+
+    Chosen by hand, but for `ratio`; nobody wrote down on what. Of 160 cases on four pairs, 92 % are
+    put right or named (docs/notes/ledger.md).
+    """
+
+    # the pictures that are compared
+    max_side: int = 384
+    """longer side of the copies that are compared [pixels]"""
+    min_side: int = 32
+    """shorter side of a copy below which no edit is judged [pixels]"""
+    uniform_range: int = 8
+    """range of each channel up to which pixels count as one colour [levels of 255]"""
+    black_level: int = 16
+    """brightest channel of a picture of one colour that is called black [levels of 255]"""
+    paper_sigma: float = 3.0
+    """of the Gaussian whose mean is the paper beside a drawn line [pixels]"""
+    # tiles, whose shifts phase correlation measures
+    min_tile_side: int = 40
+    """[pixels]"""
+    max_tiles: int = 4
+    """along the longer side; along the other one fewer"""
+    min_response: float = 0.1
+    """of the phase correlation, in [0, 1], below which a tile is left out"""
+    min_structure: float = 0.5
+    """standard deviation of its edges below which a tile is left out"""
+    max_shift: float = 0.4
+    """with which a tile counts as in place [pixels]"""
+    max_shift_undone: float = 0.8
+    """the same once a motion was undone, which is known less exactly [pixels]"""
+    min_in_place: float = 0.5
+    """share of the tiles above which an edit lies on a photo"""
+    # when a motion is believed
+    features: int = 1500
+    """SIFT features of a picture, at most"""
+    ratio: float = 0.8
+    """distance of the nearest feature over that of the second up to which they match (Lowe 2004)"""
+    max_residual: float = 1.5
+    """of a match that agrees with a map, in RANSAC [pixels]"""
+    min_matches: int = 12
+    """that must agree with a map"""
+    affine_gain: float = 1.25
+    """how many times the matches of a similarity an affine map must explain to be taken instead"""
+    min_motion: float = 0.6
+    """of a corner, below which nothing moved [pixels]"""
+    min_gain: float = 0.25
+    """share of the tiles that undoing a motion must bring in place"""
+    sure_in_place: float = 0.9
+    """share of the tiles in place from which no other photo is tried"""
+    min_overlap: float = 0.15
+    """share of its photo that an edit must show for a motion to be looked at"""
+    min_shown: float = 0.65
+    """share of its photo that an edit must show to be moved back"""
+    fill_sigma: float = 0.02
+    """of the Gaussian that smooths the change carried into what left the picture [longer sides]"""
+    # when an edit is at fault
+    min_bar: float = 0.03
+    """share of a side from which a border of one colour is a bar"""
+    min_likeness: float = 0.25
+    """correlation of edges below which an edit shows nothing of its photo"""
+    min_displacement: float = 1.5
+    """median motion of matches that no map explains, above which it is named [pixels]"""
+
+
+LIMITS = AlignmentSettings()
 
 Edges = Float[np.ndarray, "height width"]
 Map = Float[np.ndarray, "2 3"]
@@ -133,7 +150,7 @@ class _Picture:
 
     @property
     def scale(self) -> float:
-        return min(1.0, MAX_SIDE / max(self.pixels.shape[:2]))
+        return min(1.0, LIMITS.max_side / max(self.pixels.shape[:2]))
 
     @cached_property
     def small(self) -> Pixels:
@@ -143,11 +160,15 @@ class _Picture:
 
     @cached_property
     def edges(self) -> Edges:
-        """How much the colour changes, its root; of a drawing how dark its lines are."""
+        """How much the colour changes, its root: faint edges count as well. Of a drawing, how
+        dark its lines are: a line has two edges, beside that of the photo.
+        """
         smooth = cv2.GaussianBlur(self.small.astype(np.float32), (0, 0), 1.0)
         if self.is_drawn:
             grey = smooth.mean(-1)
-            return np.sqrt((cv2.GaussianBlur(grey, (0, 0), PAPER_SIGMA) - grey).clip(0))
+            return np.sqrt(
+                (cv2.GaussianBlur(grey, (0, 0), LIMITS.paper_sigma) - grey).clip(0)
+            )
         across, down = (cv2.Sobel(smooth, cv2.CV_32F, *way) for way in ((1, 0), (0, 1)))
         return np.sqrt(np.sqrt((across**2 + down**2).max(-1)))
 
@@ -196,7 +217,7 @@ class _Motion:
         height, width = self.size
         corners = np.array([(x, y) for x in (0, width) for y in (0, height)])
         moved = corners @ self.matrix[:, :2].T + self.matrix[:, 2] - corners
-        return not self.mirrored and float(np.abs(moved).max()) < MIN_MOTION
+        return not self.mirrored and float(np.abs(moved).max()) < LIMITS.min_motion
 
     @property
     def in_words(self) -> str:
@@ -229,14 +250,20 @@ def _judged(
 ) -> _Motion | _Fault | None:
     """The motion to undo, what is wrong, or None where the edit lies on its photo."""
     photo = photos[view]
-    if min(photo.small.shape[:2]) < MIN_SIDE or photo.spread <= UNIFORM_RANGE:
+    if (
+        min(photo.small.shape[:2]) < LIMITS.min_side
+        or photo.spread <= LIMITS.uniform_range
+    ):
         return None
-    if edit.spread <= UNIFORM_RANGE:
-        return BLACK_ONLY if edit.small.max() <= BLACK_LEVEL else ONE_COLOUR_ONLY
-    if _share_in_place(photo.edges, edit.edges) > MIN_IN_PLACE:
+    if edit.spread <= LIMITS.uniform_range:
+        return BLACK_ONLY if edit.small.max() <= LIMITS.black_level else ONE_COLOUR_ONLY
+    if _share_in_place(photo.edges, edit.edges) > LIMITS.min_in_place:
         return _bar(edit, photo)
     drawn = replace(edit, is_drawn=True)
-    if _share_in_place(photo.edges, drawn.edges, MAX_SHIFT_UNDONE) > MIN_IN_PLACE:
+    if (
+        _share_in_place(photo.edges, drawn.edges, LIMITS.max_shift_undone)
+        > LIMITS.min_in_place
+    ):
         return None
     for seen in (edit, drawn):
         explained = _explained(seen, photo)
@@ -248,13 +275,15 @@ def _judged(
 def _believed(
     explained: _Motion | _Fault, edit: _Picture, photos: Sequence[_Picture], view: int
 ) -> _Motion | _Fault | None:
-    """What explains an edit: a motion worth undoing, a fault, another photo, or None."""
+    """What explains an edit; None where undoing it gains little, and a fault where the edit fits
+    another photo better.
+    """
     if isinstance(explained, _Fault):
         return explained
-    as_it_is = _share_in_place(photos[view].edges, edit.edges, MAX_SHIFT_UNDONE)
-    if explained.is_none or explained.fits < as_it_is + MIN_GAIN:
+    as_it_is = _share_in_place(photos[view].edges, edit.edges, LIMITS.max_shift_undone)
+    if explained.is_none or explained.fits < as_it_is + LIMITS.min_gain:
         return None
-    if explained.fits >= SURE_IN_PLACE:
+    if explained.fits >= LIMITS.sure_in_place:
         return explained
     return _of_another(edit, photos, view, explained.fits) or explained
 
@@ -267,10 +296,10 @@ def _of_another(
         if other == view:
             continue
         fits = _share_in_place(its.edges, edit.edges)
-        if fits <= MIN_IN_PLACE:
+        if fits <= LIMITS.min_in_place:
             motion = _explained(edit, its)
             fits = motion.fits if isinstance(motion, _Motion) else 0.0
-        if fits > max(least, MIN_IN_PLACE):
+        if fits > max(least, LIMITS.min_in_place):
             return _Fault("the edit of {name} shows the photo {other}", other)
     return None
 
@@ -279,17 +308,19 @@ def _bar(edit: _Picture, photo: _Picture) -> _Fault | None:
     """That a straight part of the picture is one colour, which the photo is not there."""
     for turns, side in enumerate(("top", "right", "bottom", "left")):
         pixels, before = (np.rot90(one.small, turns) for one in (edit, photo))
-        if np.ptp(pixels[0], axis=0).max() > 2 * UNIFORM_RANGE:
+        if np.ptp(pixels[0], axis=0).max() > 2 * LIMITS.uniform_range:
             continue
         pixels = pixels.astype(np.int16)
-        one_colour = (np.abs(pixels - pixels[0, 0]).max(-1) <= UNIFORM_RANGE).mean(1)
+        one_colour = (
+            np.abs(pixels - pixels[0, 0]).max(-1) <= LIMITS.uniform_range
+        ).mean(1)
         rows = int(np.argmin(one_colour > 0.99))
         # An object before a plain background touches the last row of it in few places.
         cut = rows + 2 < len(one_colour) and one_colour[rows + 2] < 0.4
         if (
             cut
-            and rows > MIN_BAR * len(one_colour)
-            and np.ptp(before[:rows], axis=(0, 1)).max() > 4 * UNIFORM_RANGE
+            and rows > LIMITS.min_bar * len(one_colour)
+            and np.ptp(before[:rows], axis=(0, 1)).max() > 4 * LIMITS.uniform_range
         ):
             share = f"{rows / len(one_colour):.0%} of the edit of {{name}}"
             return _Fault(f"the {side} {share} are one colour", of_all=True)
@@ -305,12 +336,14 @@ def _explained(edit: _Picture, photo: _Picture) -> _Motion | _Fault | None:
         motion = _Motion(matrix, photo.scale, photo.edges.shape, mirrored)
         there = _warped(edit.edges[:, ::-1] if mirrored else edit.edges, matrix)
         shown = _warped(np.ones_like(edit.edges), matrix) > 0.99
-        if shown.mean() < MIN_OVERLAP:
+        if shown.mean() < LIMITS.min_overlap:
             continue
-        fits = _share_in_place(photo.edges * shown, there * shown, MAX_SHIFT_UNDONE)
-        if fits <= MIN_IN_PLACE:
+        fits = _share_in_place(
+            photo.edges * shown, there * shown, LIMITS.max_shift_undone
+        )
+        if fits <= LIMITS.min_in_place:
             continue
-        if shown.mean() < MIN_SHOWN:
+        if shown.mean() < LIMITS.min_shown:
             share = f"{shown.mean():.0%} of its photo only ({motion.in_words})"
             return _Fault(f"the edit of {{name}} shows {share}")
         return replace(motion, fits=fits)
@@ -321,26 +354,30 @@ def _unexplained(edit: _Picture, photo: _Picture) -> _Fault | None:
     """What is wrong with an edit that no map brings to its photo; None where nobody can tell."""
     here, there = _matched(photo.features, edit.features)
     away = np.linalg.norm(there - here, axis=1)
-    near = away[away < 0.2 * MAX_SIDE]
+    near = away[away < 0.2 * LIMITS.max_side]
     if (
-        len(near) >= 2 * MIN_MATCHES
+        len(near) >= 2 * LIMITS.min_matches
         and len(near) > 0.5 * len(away)
-        and np.median(near) > MIN_DISPLACEMENT
+        and np.median(near) > LIMITS.min_displacement
     ):
         pixels = np.median(near) / photo.scale
         return _Fault(
             f"the edit of {{name}} lies about {pixels:.0f} px beside its photo"
         )
     seen = (edit.edges, replace(edit, is_drawn=True).edges)
-    near = (np.sum(_shifts(photo.edges, edges) < 4 * MAX_SHIFT) for edges in seen)
+    near = (
+        np.sum(_shifts(photo.edges, edges) < 4 * LIMITS.max_shift) for edges in seen
+    )
     likeness = (_likeness(photo.edges, edges) for edges in seen)
-    return UNLIKE if max(near) < 2 and max(likeness) < MIN_LIKENESS else None
+    return UNLIKE if max(near) < 2 and max(likeness) < LIMITS.min_likeness else None
 
 
 # ---- comparing ----
 
 
-def _share_in_place(photo: Edges, edit: Edges, limit: float = MAX_SHIFT) -> float:
+def _share_in_place(
+    photo: Edges, edit: Edges, limit: float = LIMITS.max_shift
+) -> float:
     """Share of the tiles that lie where they were, 0 where no tile tells."""
     shifts = _shifts(photo, edit)
     return float(np.mean(shifts <= limit)) if len(shifts) else 0.0
@@ -352,8 +389,8 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
         return np.zeros(0)
     height, width = photo.shape
     rows, columns = (
-        max(1, min(most, side // MIN_TILE_SIDE))
-        for most, side in ((MAX_TILES - 1, height), (MAX_TILES, width))
+        max(1, min(most, side // LIMITS.min_tile_side))
+        for most, side in ((LIMITS.max_tiles - 1, height), (LIMITS.max_tiles, width))
     )
     tall, wide = height // rows, width // columns
     window = cv2.createHanningWindow((wide, tall), cv2.CV_32F)
@@ -362,12 +399,12 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
         for left in range(0, columns * wide, wide):
             place = (slice(top, top + tall), slice(left, left + wide))
             one, other = photo[place], edit[place]
-            if min(one.std(), other.std()) < MIN_STRUCTURE:
+            if min(one.std(), other.std()) < LIMITS.min_structure:
                 continue
             shift, response = cv2.phaseCorrelate(
                 one - one.mean(), other - other.mean(), window
             )
-            if response > MIN_RESPONSE:
+            if response > LIMITS.min_response:
                 shifts.append(np.hypot(shift[0], shift[1]))
     return np.array(shifts)
 
@@ -381,7 +418,7 @@ def _likeness(first: Edges, second: Edges) -> float:
 
 def _features(grey: UInt8[np.ndarray, "height width"]) -> tuple:
     # Otherwise features lie a quarter of a pixel off, as a mirrored picture shows.
-    detector = cv2.SIFT.create(FEATURES, enable_precise_upscale=True)
+    detector = cv2.SIFT.create(LIMITS.features, enable_precise_upscale=True)
     keypoints, descriptors = detector.detectAndCompute(grey, None)
     points = np.array([one.pt for one in keypoints], np.float32).reshape(-1, 2)
     return points, descriptors
@@ -396,7 +433,7 @@ def _matched(first: tuple, second: tuple) -> tuple[np.ndarray, np.ndarray]:
     matches = [
         best
         for best, second_best in pairs
-        if best.distance < RATIO * second_best.distance
+        if best.distance < LIMITS.ratio * second_best.distance
     ]
     return (
         here[[one.queryIdx for one in matches]].reshape(-1, 2),
@@ -408,15 +445,15 @@ def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
     """The similarity, or where that explains much less the affine map, from photo to edit."""
     for kind in ("edge_features",) if edit.is_drawn else ("features", "edge_features"):
         here, there = _matched(getattr(photo, kind), getattr(edit, kind))
-        if len(here) < MIN_MATCHES:
+        if len(here) < LIMITS.min_matches:
             continue
         similar, affine = (
             _fitted(find, here, there)
             for find in (cv2.estimateAffinePartial2D, cv2.estimateAffine2D)
         )
-        best = affine if affine[1] > AFFINE_GAIN * similar[1] else similar
+        best = affine if affine[1] > LIMITS.affine_gain * similar[1] else similar
         # A mirrored picture is found mirrored back; and nothing shrinks to a point.
-        if best[1] >= MIN_MATCHES and np.linalg.det(best[0][:, :2]) > 0.01:
+        if best[1] >= LIMITS.min_matches and np.linalg.det(best[0][:, :2]) > 0.01:
             return best[0]
     return None
 
@@ -427,7 +464,7 @@ def _fitted(find, here: np.ndarray, there: np.ndarray) -> tuple[Map, int]:
     matrix, inliers = find(
         here,
         there,
-        ransacReprojThreshold=MAX_RESIDUAL,
+        ransacReprojThreshold=LIMITS.max_residual,
         maxIters=3000,
         confidence=0.999,
     )
@@ -473,7 +510,7 @@ def _change_beside(
 ) -> Float[np.ndarray, "height width 3"]:
     """The smoothed change at the nearest place that the edit shows, for each pixel."""
     height, width = shown.shape
-    reach = FILL_SIGMA * max(height, width)
+    reach = LIMITS.fill_sigma * max(height, width)
     weight = shown.astype(np.float32)
     change = cv2.GaussianBlur((after - before) * weight[..., None], (0, 0), reach)
     change /= cv2.GaussianBlur(weight, (0, 0), reach)[..., None] + 1e-6

@@ -20,8 +20,9 @@ from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import Photo, evenly
 from edit3r.kit.scenes.axes import turned
+from edit3r.kit.scenes.files import LOOSE, is_loose_sog
 from edit3r.kit.scenes.look import camera_file_of
-from edit3r.kit.scenes.reading import GZIP, form_of, load_scene
+from edit3r.kit.scenes.reading import form_of, load_scene
 from edit3r.kit.scenes.rewriting import SceneChange, rewritten
 from edit3r.kit.scenes.scene_views import (
     UPS,
@@ -31,6 +32,7 @@ from edit3r.kit.scenes.scene_views import (
     look_around,
     pictures_of,
 )
+from edit3r.kit.scenes.spz_header import GZIP
 
 SCENE_ENDINGS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
 USUAL_VIEWS = 8
@@ -152,7 +154,11 @@ class SceneInput:
 def is_scene(path: str | Path) -> bool:
     """Whether a path is that of a scene's file, by its name."""
     path = Path(path)
-    return path.suffix.lower() in SCENE_ENDINGS and not path.is_dir()
+    if path.is_dir():
+        return False
+    return path.suffix.lower() in SCENE_ENDINGS or (
+        path.name == LOOSE and is_loose_sog(path)
+    )
 
 
 def read_scene(

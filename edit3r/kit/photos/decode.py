@@ -438,7 +438,9 @@ def _loaded(image: Image.Image, file: BinaryIO, path: Path) -> Image.Image:
 
 
 def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
-    """Grey of more than 8 bits by its high byte; floats go from 0 to 1, or to 255."""
+    """Grey of more than 8 bits: 16-bit values keep their high byte, as those of colour do; floats
+    go from 0 to 1, or to 255.
+    """
     values = np.asarray(image)
     low, high = float(values.min()), float(values.max())
     is_float = image.mode == "F"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from PIL import Image
+from PIL import Image, ImageChops
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -62,10 +62,11 @@ def _grey(decoded: DecodedImage, path: Path) -> Image.Image:
 
 
 _FADED = 12  # most that the channels of a grey differ [levels]
-_SOFT = 72  # most that soft edges, as JPEG has them, differ from shades of their label [levels]
 _DARK = 32  # below which the values of a mask are numbers of labels, not greys
 _DARK_ALONE = 128  # the same of the only value besides black
+_VOID = {(255,), (224, 224, 192)}  # what data sets draw around their labels
 _LEAST_SHARE = 0.002  # of the picture that a label takes; a sanity limit
+_MOST_LABELS = 12
 
 
 def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
@@ -74,17 +75,22 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
     Raises InputError for several labels.
     """
     grey = pixels.convert("L")
-    values = np.asarray(pixels, np.int16)
-    is_grey = bool(np.mean(np.ptp(values, axis=-1) > _FADED) < _LEAST_SHARE)
+    red, green, blue = pixels.split()
+    colour = ImageChops.subtract(
+        ImageChops.lighter(ImageChops.lighter(red, green), blue),
+        ImageChops.darker(ImageChops.darker(red, green), blue),
+    )
+    is_grey = bool(np.mean(np.asarray(colour) > _FADED) < _LEAST_SHARE)
     if is_grey and not _holds_numbers(grey):
         return grey
-    labels = _labels(values, step=1 if is_grey else 24)
+    values = np.asarray(pixels, np.int16)
+    # JPEG stores colours at half the size, so that they run out at edges.
+    reach = 6 if path.suffix.lower() in (".jpg", ".jpeg") else 4
+    labels = _labels(np.asarray(grey)[..., None] if is_grey else values, is_grey, reach)
+    labels = [one for one in labels if one not in _VOID] or labels
     names = [str(one[0]) if is_grey else ",".join(map(str, one)) for one in labels]
-    label = labels[0] if labels else np.ones(3)
-    share = (values @ label / (label @ label)).clip(0, 1)  # soft at soft edges
-    apart = np.abs(values - share[..., None] * label).max(-1) > _SOFT
-    if len(labels) != 1 or np.mean(apart) > _LEAST_SHARE:
-        listed = " and ".join(names) or "many colours"
+    if len(labels) != 1:
+        listed = " and ".join(names[:_MOST_LABELS]) or "many colours"
         raise InputError(
             f"{path}: holds {listed}, as a label image or a photo does; expected a mask of one "
             "thing, black (keep) and white (may change)."
@@ -93,6 +99,10 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
         warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
     else:
         warn(f"{path}: a label image; its one label, {names[0]}, is taken as white.")
+    label = np.array(labels[0] if not is_grey else labels[0] * 3, np.float32)
+    share = (values @ label / (label @ label)).clip(0, 1)  # soft at soft edges
+    for void in _VOID:
+        share[(values == np.array(void)).all(-1)] = 0
     return Image.fromarray((255 * share).round().astype(np.uint8))
 
 
@@ -105,24 +115,37 @@ def _holds_numbers(grey: Image.Image) -> bool:
 
 
 def _labels(
-    values: Int[np.ndarray, "height width channel"], step: int
-) -> list[Int[np.ndarray, "channel"]]:
+    values: Int[np.ndarray, "height width channel"], is_grey: bool, reach: int
+) -> list[tuple[int, ...]]:
     """The values that take a part of the picture, but for black; most first.
 
-    Those that differ by less than `step` count as one, and what is then rare beside the first is
-    its soft edge.
+    Shades of the first within `reach` times `_FADED` are its soft edges.
     """
-    kinds = values // step @ np.array([1 << 16, 1 << 8, 1])
-    found, counts = np.unique(kinds[kinds > 0], return_counts=True)
-    edge = 0 if step == 1 else 0.1 * counts.max(initial=0)
-    least = max(_LEAST_SHARE * kinds.size, edge)
+    step = 1 if is_grey else 24  # JPEG and soft edges bring other shades
+    kinds = np.zeros(values.shape[:2], np.int64)
+    for channel in range(values.shape[-1]):
+        kinds = 256 * kinds + values[..., channel] // step
     labels: list[np.ndarray] = []
-    for kind in found[np.argsort(-counts)][: int((counts >= least).sum())]:
+    shares: list[float] = []
+    for kind, count in sorted(
+        zip(*np.unique(kinds, return_counts=True)), key=lambda one: -one[1]
+    ):
+        share = count / kinds.size
+        if share < _LEAST_SHARE or len(labels) > _MOST_LABELS:
+            break
         mean = np.rint(values[kinds == kind].mean(0)).astype(int)
         apart = min(np.abs(mean - other).max() for other in (0 * mean, *labels))
-        if apart >= (1 if step == 1 else 3 * _FADED):
+        rim = labels and share < 0.1 * shares[0] and _is_shade(mean, labels[0], reach)
+        if apart >= (1 if is_grey else 3 * _FADED) and not (rim and not is_grey):
             labels.append(mean)
-    return labels
+            shares.append(share)
+    return [tuple(int(value) for value in one) for one in labels]
+
+
+def _is_shade(colour: np.ndarray, label: np.ndarray, reach: int) -> bool:
+    """Whether a colour lies between black and a label, as soft edges do."""
+    nearest = (colour @ label) / (label @ label) * label
+    return bool(np.abs(colour - nearest).max() < reach * _FADED)
 
 
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
@@ -193,7 +216,9 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, P
 
 
 def _files(given: Iterable[str], photos: Sequence[Names]) -> tuple[list[Path], bool]:
-    """The files that are meant (of a folder, those that name photos), and if a folder was."""
+    """The files that are meant, and whether a folder was. Of a folder that names photos, only these
+    count: it may hold other pictures too.
+    """
     files, folders = [], False
     numbers = {_number(names[0]) for names in photos} - {None}
     for path in (one for text in given for one in expand(text)):

@@ -1,12 +1,11 @@
 """What among image files is not a photo of the scene: masks, our own sheets, and photos twice.
 
 Pictures tell, not words in names: a file that is named after another one is a mask or a map where
-it is grey, of few colours or see-through beside a photo in colour. Two files of one name are one
-photo in two formats where they show the same.
+it is grey, of few colours or see-through beside a photo in colour, and a copy where it shows the
+same.
 """
 
 from collections.abc import Sequence
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,9 @@ from edit3r.kit.photos.decode import decode, image_size, read_header
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
 _LIKE = 0.95  # correlation of small copies of one photo in two formats
+_COPIED = 0.995  # the same where the names differ: photos side by side are alike too
 _SMALL = (32, 32)  # their size [pixels]
+_BENT = 0.02  # most that width over height of two copies differs [shares]
 _GREY = 6.0  # most that the channels of a grey picture differ, in the mean [levels]
 _LABELS = 64  # most colours of a picture of labels
 
@@ -29,9 +30,10 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
     """The files without masks, sheets of ours and photos twice; says what was left out."""
     left_out = {file for file in files if _made_here(file)}
     photos = [file for file in files if file not in left_out]
-    for one, other in permutations(photos, 2):
-        if _is_map_of(one, other) or _is_copy_of(one, other):
-            left_out.add(one)
+    for file in sorted(photos, key=lambda one: -len(one.stem)):
+        for other in photos:
+            if not left_out & {file, other} and _is_named_after(file, other):
+                left_out.update(_not_its_own(file, other))
     kept = [file for file in files if file not in left_out]
     if not kept or not left_out:
         return list(files)
@@ -44,6 +46,17 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
     return kept
 
 
+def _not_its_own(file: Path, other: Path) -> list[Path]:
+    """Which of a file and the one that it is named after is no photo of its own, if any: the map,
+    or the copy, which is the file unless it has more pixels.
+    """
+    if _is_map_of(file, other):
+        return [file]
+    if not _show_the_same(file, other):
+        return []
+    return [other] if _pixels(file) > _pixels(other) else [file]
+
+
 def _made_here(file: Path) -> bool:
     """Whether the file says of itself that it was made here."""
     try:
@@ -52,28 +65,26 @@ def _made_here(file: Path) -> bool:
         return False
 
 
-def _says_more(name: str, stem: str) -> bool:
-    """Whether a name begins or ends with another one, and goes on; img10 is not after img1."""
-    if len(name) <= len(stem):
-        return False
+def _is_named_after(file: Path, other: Path) -> bool:
+    """Whether a name begins or ends with the other's, and says more or has another suffix; phones
+    call the edited copy of IMG_1 IMG_E1. img10 is not named after img1.
+    """
+    name, stem = (one.stem.casefold() for one in (file, other))
+    if name == stem:
+        return file.suffix != other.suffix and _order(file) > _order(other)
+    if name.replace("img_e", "img_") == stem:
+        return True
     begins = name.startswith(stem) and not name[len(stem)].isalnum()
     return begins or (name.endswith(stem) and not name[-len(stem) - 1].isalnum())
 
 
 def _order(file: Path) -> tuple[int, str]:
     """By which the original comes before the other formats of it: the one with most pixels."""
-    try:
-        height, width = image_size(file)
-    except (InputError, MissingDependencyError):
-        return 0, file.suffix
-    return -height * width, file.suffix
+    return -_pixels(file), file.suffix
 
 
 def _is_map_of(file: Path, other: Path) -> bool:
-    """Whether a see-through, grey or few-coloured picture is named after a photo in colour."""
-    name, stem = (one.stem.casefold() for one in (file, other))
-    if name != stem and not _says_more(name, stem):
-        return False
+    """Whether a picture is see-through, grey or of few colours, beside a photo in colour."""
     try:
         mask, photo = (decode(one, 8 * _SMALL[0]) for one in (file, other))
     except (InputError, MissingDependencyError):
@@ -89,20 +100,34 @@ def _is_grey(pixels: Image) -> bool:
     return float(np.ptp(values, axis=2).mean()) < _GREY
 
 
-def _is_copy_of(file: Path, other: Path) -> bool:
-    """Whether a file surely shows the photo of that name in another format."""
-    if file.stem.casefold() != other.stem.casefold() or _order(file) <= _order(other):
-        return False
+def _show_the_same(file: Path, other: Path) -> bool:
+    """Whether small copies of two files are alike; of two formats one may need a package that is
+    missing, and then the other is enough.
+    """
+    renamed = file.stem.casefold() != other.stem.casefold()
     try:
+        shapes = [width / height for height, width in map(image_size, (file, other))]
+        if abs(shapes[0] / shapes[1] - 1) > _BENT:
+            return False
         one, two = (_small_copy(path) for path in (file, other))
     except MissingDependencyError:
         return True
     except InputError:
         return False
-    flat = min(one.std(), two.std()) < 1
-    return not flat and float(np.corrcoef(one, two)[0, 1]) > _LIKE
+    if min(one.std(), two.std()) < 1:
+        return False
+    return float(np.corrcoef(one, two)[0, 1]) > (_COPIED if renamed else _LIKE)
 
 
 def _small_copy(file: Path) -> np.ndarray:
     small = decode(file, 8 * _SMALL[0]).pixels.convert("L").resize(_SMALL)
     return np.asarray(small, np.float64).ravel()
+
+
+def _pixels(file: Path) -> int:
+    """Of a file that can be read here, else 0."""
+    try:
+        height, width = image_size(file)
+    except (InputError, MissingDependencyError):
+        return 0
+    return height * width

@@ -52,20 +52,11 @@ def turned(gaussians: Gaussians, rotation: Float[Tensor, "3 3"]) -> Gaussians:
 
 def drawable(gaussians: Gaussians) -> Bool[Tensor, "gaussian"]:
     """Which of a scene (batch 1) are finite and have a rotation."""
-    return _finite(gaussians, torch.inf) & _has_rotation(gaussians)
-
-
-def _finite(gaussians: Gaussians, most: float) -> Bool[Tensor, "gaussian"]:
-    """Which have no number of `most` or more, and none that is no number."""
+    values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.harmonics)
     finite = torch.isfinite(gaussians.opacities[0])
-    for name in ("means", "scales", "quats", "harmonics"):
-        values = getattr(gaussians, name)[0]
-        finite &= (values.abs() < most).flatten(1).all(1)
-    return finite
-
-
-def _has_rotation(gaussians: Gaussians) -> Bool[Tensor, "gaussian"]:
-    return gaussians.quats[0].norm(dim=-1) > SHORTEST_QUAT
+    for each in values:
+        finite &= torch.isfinite(each[0]).flatten(1).all(1)
+    return finite & (gaussians.quats[0].norm(dim=-1) > SHORTEST_QUAT)
 
 
 def sound(path: Path, gaussians: Gaussians, *, visible: bool) -> Gaussians:
@@ -74,18 +65,25 @@ def sound(path: Path, gaussians: Gaussians, *, visible: bool) -> Gaussians:
 
     Raises InputError with `visible` for a scene in which nothing can be drawn.
     """
-    finite, turned_at_all = _finite(gaussians, LARGEST), _has_rotation(gaussians)
-    faults = {
-        "are not finite and": ~finite,
-        "have a quaternion of only zeros and are": finite & ~turned_at_all,
-    }
-    for fault, which in faults.items():
-        if which.any():
-            lost = f"{int(which.sum())} of {gaussians.count} Gaussians"
-            warn(f"{path}: {lost} {fault} left out.")
-    kept = finite & turned_at_all
-    if not kept.all():
-        gaussians = gaussians.select(kept)
+    values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.harmonics)
+    finite = torch.isfinite(gaussians.opacities[0])
+    for each in values:
+        finite &= (each[0].abs() < LARGEST).flatten(1).all(1)
+    has_rotation = gaussians.quats[0].norm(dim=-1) > SHORTEST_QUAT
+    lost = int((~finite).sum())
+    if lost:
+        warn(
+            f"{path}: {lost} of {gaussians.count} Gaussians are not finite and left out."
+        )
+    lost = int((finite & ~has_rotation).sum())
+    if lost:
+        warn(
+            f"{path}: {lost} of {gaussians.count} Gaussians have a quaternion of only zeros "
+            "and are left out."
+        )
+    drawable = finite & has_rotation
+    if not drawable.all():
+        gaussians = gaussians.select(drawable)
     if (gaussians.scales < 0).any():
         warn(f"{path}: has negative sizes, which are taken as positive.")
         gaussians = replace(gaussians, scales=gaussians.scales.abs())

@@ -18,7 +18,6 @@ from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.compute.colour import linear_to_srgb
 from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
-from edit3r.kit.geometry.rotations import quats_to_matrices
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, turned
 
 OWN = "KHR_gaussian_splatting"
@@ -121,8 +120,14 @@ def _placed_meshes(
 def _matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
     if "matrix" in node:
         return np.asarray(node["matrix"], float).reshape(4, 4).T
-    x, y, z, w = map(float, node.get("rotation", (0, 0, 0, 1)))
-    rotation = quats_to_matrices(torch.tensor((w, x, y, z)).double()).numpy()
+    x, y, z, w = np.asarray(node.get("rotation", (0, 0, 0, 1)), float)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
     matrix = np.eye(4)
     matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1, 1, 1)), float)
     matrix[:3, 3] = np.asarray(node.get("translation", (0, 0, 0)), float)

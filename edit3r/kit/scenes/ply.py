@@ -6,13 +6,13 @@ One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2
 estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
 """
 
+import math
 import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import shorten
 
 import numpy as np
 import torch
@@ -55,9 +55,13 @@ _PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLOURS = ("red", "green", "blue")  # of scenes without harmonics: bytes, or shares
 _FILTER = "filter_3D"  # of Mip-Splatting: a standard deviation that is to be added to the sizes
 _NOT_SHOWN = re.compile(r"n[xyz]|alpha|f_rest_\d+|scale_[12]")  # beside the above
+_LONG_NAMES = 100  # characters of properties that a warning names
 
 MOST_HEADER_BYTES = 1 << 20
-MOST_COMMENT = 4000  # characters: a header beyond `MOST_HEADER_BYTES` is not read again
+# characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
+MOST_COMMENT = 1000
+SPREAD = 3.0  # distances of neighbours that a usual Gaussian does not cover
+COARSE = 0.5  # of a Gaussian's size: steps between places that spoil a scene
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -122,10 +126,11 @@ def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
     """Read a 3DGS PLY (binary or text, any number type) as one scene on the CPU.
 
     Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls. The 3D
-    filter of Mip-Splatting is worked in, and further properties are passed over, each with a
-    remark. Quaternions come back normalised; Gaussians with values that are not finite are left out
-    with a warning. Raises InputError for a file that is no such PLY, or is cut off; with `visible`
-    also for a scene in which nothing can be drawn.
+    filter of Mip-Splatting is worked in, sizes that cannot be logarithms are taken as lengths, and
+    further properties are passed over, each with a remark. Quaternions come back normalised;
+    Gaussians with values that are not finite are left out with a warning. Raises InputError for a
+    file that is no such PLY, or is cut off; with `visible` also for a scene in which nothing can be
+    drawn.
     """
     path = Path(path)
     header = read_header(path)
@@ -137,7 +142,10 @@ def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
         )
     _tell_unknown(header)
     gaussians = from_table(header.read_vertices(), header)
-    return sound(path, gaussians, visible=visible)
+    gaussians = sound(path, gaussians, visible=visible)
+    if gaussians.count:
+        _tell_coarse(path, gaussians)
+    return gaussians
 
 
 def _tell_unknown(header: "PlyHeader") -> None:
@@ -145,12 +153,26 @@ def _tell_unknown(header: "PlyHeader") -> None:
     known = {*_REQUIRED, *_PLAIN, *_COLOURS, _FILTER, OBJECT, UNCERTAINTY}
     names = [n for n in header.names if n not in known and not _NOT_SHOWN.fullmatch(n)]
     if names:
-        listed = shorten(
-            ", ".join(names), 100, placeholder=f"... ({len(names)} in all)"
-        )
+        listed = ", ".join(names)
+        if len(listed) > _LONG_NAMES:
+            listed = f"{listed[:_LONG_NAMES]}... ({len(names)} in all)"
         warn(
             f"{header.path}: has properties that are not known here and are passed over: {listed}; "
             "where they change its look, export it from its own program first."
+        )
+
+
+def _tell_coarse(path: Path, gaussians: Gaussians) -> None:
+    """Warn of a scene so far from the origin, as in a country's coordinates, that numbers of 32
+    bits do not tell its Gaussians apart.
+    """
+    middle = gaussians.means[0].abs().amax(1).median()
+    step = float(middle) * torch.finfo(torch.float32).eps
+    size = float(gaussians.scales.median())
+    if step > COARSE * size:
+        warn(
+            f"{path}: lies {float(middle):.3g} from the origin, where places are {step:.2g} apart "
+            f"and Gaussians {size:.2g} large; move it to the origin before it is saved as PLY."
         )
 
 
@@ -206,13 +228,22 @@ def to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
 
 def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0"]
-    lines += [f"comment {' '.join(one.split())[:MOST_COMMENT]}" for one in comments]
+    lines += [f"comment {_one_line(comment)}" for comment in comments]
     lines += [
         f"element vertex {len(table)}",
         *(f"property float {name}" for name in table.dtype.names or ()),
         "end_header",
     ]
     return "".join(f"{line}\n" for line in lines).encode("ascii", "backslashreplace")
+
+
+def _one_line(comment: str) -> str:
+    line = " ".join(comment.split())
+    return (
+        line
+        if len(line) <= MOST_COMMENT or comment.startswith(_VIEWS)
+        else f"{line[:MOST_COMMENT]}..."
+    )
 
 
 def _view_runs(view_index: np.ndarray) -> list[str]:
@@ -289,9 +320,22 @@ def _plain_colours(
 def _scales(
     table: np.ndarray, header: "PlyHeader"
 ) -> Float64[np.ndarray, "gaussian axis"]:
-    """Three scales: those of a file, or one of a ball; or two, of a disc."""
+    """Three scales: those of a file, or one of a ball; or two, of a disc. A file holds logarithms
+    of them; where these would make each Gaussian cover much of the scene, they are lengths.
+    """
     names = [name for name in ("scale_0", "scale_1", "scale_2") if name in header.names]
-    scales = np.exp(_columns(table, names))
+    stored = _columns(table, names)
+    scales = np.exp(stored)
+    if len(table) and stored.min() > 0:
+        places = _columns(table, ("x", "y", "z"))
+        extent = np.ptp(np.percentile(places, (5, 95), axis=0), axis=0).max()
+        between = extent / math.sqrt(len(table))  # neighbours on a surface
+        if np.median(stored) < SPREAD * between < np.median(scales):
+            warn(
+                f"{header.path}: its sizes cannot be logarithms, as they are in this format; they "
+                "are taken as lengths."
+            )
+            scales = stored
     if len(names) == 2:
         say("scene.flat", "its Gaussians have two scales and are read as flat discs")
         return scales

@@ -17,11 +17,12 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.children import PYTHON
 from edit3r.kit.files.names import refuse_elsewhere
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, sound
+from edit3r.kit.scenes.files import gathered, is_loose_sog
 from edit3r.kit.scenes.glb_reading import load_glb
 from edit3r.kit.scenes.placement import placed_back, placement_of
 from edit3r.kit.scenes.ply import load_ply
+from edit3r.kit.scenes.spz_header import GZIP, read_spz_header
 
-GZIP = b"\x1f\x8b"  # how SPZ begins, up to version 3
 # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
 LONGEST = 600
 SPLAT_BYTES = 32  # of one Gaussian in a .splat, which has no header
@@ -59,23 +60,27 @@ def load_scene(path: str | Path, *, visible: bool = True) -> Gaussians:
 
 def _converted(path: Path, form: str) -> Gaussians:
     """A scene by gaussforge, which leaves positions and axes as they stand in the file."""
+    header = read_spz_header(path) if form == "spz" else None
     with tempfile.TemporaryDirectory() as scratch:
-        plain = Path(scratch, "scene.ply")
+        plain, source = Path(scratch, "scene.ply"), path
+        if is_loose_sog(path):
+            source = gathered(path, Path(scratch, "scene.sog"))
         try:
-            convert(path, plain, form, "ply")
+            convert(source, plain, form, "ply")
             gaussians = load_ply(plain)
         except (RunError, InputError) as error:
             raise InputError(
                 f"{path}: cannot be read as {form}, it is damaged or cut off; "
                 f"{str(error).replace(str(plain), 'it')}"
             ) from None
-    if form == "spz":
-        gaussians = flipped(gaussians, UP_AND_BACK)
-    return placed_back(gaussians, placement_of(path, form))
+        placement = placement_of(source, form)
+    if header is not None:
+        gaussians = header.upright(gaussians)
+    return placed_back(gaussians, placement)
 
 
 def _spz_inside(content: bytes) -> Gaussians:
-    """An SPZ from inside a GLB, which has the axes of the GLB and is turned with it."""
+    """An SPZ from inside a GLB, which has the axes of the GLB and not those that SPZ says."""
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch, "inside.spz")
         file.write_bytes(content)
@@ -109,6 +114,8 @@ def form_of(path: Path) -> str:
         return "compressed.ply"
     if form == "spz":
         _check_count(path, int.from_bytes(start[8:12], "little"))
+    if not form and is_loose_sog(path):
+        return "sog"
     return form or _form_without_magic(path, start)
 
 

@@ -16,7 +16,8 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.scenes.axes import drawable
 from edit3r.kit.scenes.ply import PlyHeader, from_table, read_header, to_table
-from edit3r.kit.scenes.reading import GZIP, form_of
+from edit3r.kit.scenes.reading import form_of
+from edit3r.kit.scenes.spz_header import GZIP
 
 CHUNK = 256  # Gaussians of a compressed PLY that share bounds
 SPZ_COLOUR = 0.15  # of a constant harmonic, in an SPZ's shares of a byte

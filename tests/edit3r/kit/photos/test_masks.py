@@ -147,8 +147,15 @@ def outlined(kind):
         "small green": (0, 255, 0),
         "index": (2, 2, 2),
         "large index": (38, 38, 38),
+        "index and void": (15, 15, 15),
+        "colour and void": (0, 128, 0),
     }
-    return Image.fromarray(inside[..., None] * np.array(colours[kind], np.uint8))
+    pixels = inside[..., None] * np.array(colours[kind], np.uint8)
+    if "void" in kind:  # as VOC draws it around things, and leaves out others
+        pixels[200:204] = pixels[:60] = (
+            255 if kind.startswith("index") else (224, 224, 192)
+        )
+    return Image.fromarray(pixels)
 
 
 @pytest.mark.parametrize(
@@ -158,6 +165,7 @@ def outlined(kind):
         *((kind, ".gif") for kind in ("palette", "red")),
         *((kind, ".webp") for kind in ("red",)),
         *((kind, ".jpg") for kind in ("palette", "red", "green", "small green")),
+        *((f"{kind} and void", ".png") for kind in ("index", "colour")),
         ("large index", ".png"),
     ],
 )

@@ -83,6 +83,36 @@ def test_the_format_with_most_pixels_is_taken(folder):
     assert names(folder) == ["left.png", "right.jpg"]
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "left (1).jpg",
+        "left 2.jpg",
+        "left~2.jpg",
+        "left_thumb.jpg",
+        "left - Copy.jpg",
+        "left - Kopie (2).jpg",
+        "Copy of left.jpg",
+        "left copy 2.jpg",
+        "left-edited.jpg",
+    ],
+)
+def test_copies_are_no_photos_but_others_of_such_names_are(folder, name):
+    copy = Image.open(folder / "left.jpg").resize((40, 40)).point(lambda v: 0.9 * v)
+    copy.save(folder / name, quality=95)
+    assert names(folder) == ["left.jpg", "right.jpg"]
+    Image.fromarray(np.roll(picture(0), 3, axis=1)).save(folder / name)
+    assert len(names(folder)) == 3
+
+
+def test_numbers_in_brackets_alone_are_no_copies(folder):
+    for number in (1, 2):
+        Image.open(folder / "left.jpg").save(folder / f"photo ({number}).jpg")
+    Image.open(folder / "left.jpg").save(folder / "IMG_0004.jpg")
+    Image.open(folder / "left.jpg").save(folder / "IMG_E0004.jpg")
+    assert len(names(folder)) == 5
+
+
 def test_another_photo_of_that_name_stays(folder):
     Image.fromarray(picture(5)).save(folder / "left.png")
     assert names(folder) == ["left.jpg", "left.png", "right.jpg"]
@@ -91,3 +121,11 @@ def test_another_photo_of_that_name_stays(folder):
 def test_a_photo_called_mask_stays(folder):
     Image.fromarray(picture(5)).save(folder / "venice_mask.jpg")
     assert len(names(folder)) == 3
+
+
+@pytest.mark.parametrize("name", ["left copy.jpg", "Copy of left.jpg"])
+def test_of_a_copy_with_as_many_pixels_the_photo_it_is_named_after_is_taken(
+    folder, name
+):
+    (folder / name).write_bytes((folder / "left.jpg").read_bytes())
+    assert names(folder) == ["left.jpg", "right.jpg"]

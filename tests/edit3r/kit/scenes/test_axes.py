@@ -2,10 +2,10 @@
 
 import torch
 
+from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.harmonics import basis
 from edit3r.kit.geometry.rotations import covariances
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped
-from edit3r_testing.scenes import gaussian_cloud
 
 GENERATOR = torch.Generator().manual_seed(0)
 
@@ -15,7 +15,14 @@ def random(*shape):
 
 
 def test_a_flipped_scene_shows_in_flipped_directions_what_the_scene_shows():
-    scene = gaussian_cloud(5, degree=4, dtype=torch.float64)
+    quats = torch.nn.functional.normalize(random(1, 5, 4), dim=-1)
+    scene = Gaussians(
+        random(1, 5, 3),
+        random(1, 5, 3).exp(),
+        quats,
+        torch.ones(1, 5).double(),
+        random(1, 5, 25, 3),
+    )
     flip = torch.tensor(UP_AND_BACK).double()
     other = flipped(scene, UP_AND_BACK)
     torch.testing.assert_close(other.means, scene.means * flip)

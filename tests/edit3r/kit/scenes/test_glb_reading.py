@@ -11,8 +11,8 @@ import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.reading import load_scene
-from edit3r_testing.scenes import gaussian_cloud
 
 P = "KHR_gaussian_splatting:"
 KINDS = {"u1": 5121, "i1": 5120, "u2": 5123, "i2": 5122, "f4": 5126}
@@ -157,8 +157,15 @@ def test_a_node_places_its_gaussians(tmp_path, node, place, size):
     torch.testing.assert_close(found.scales, torch.full((1, N, 3), 0.25 * size))
 
 
-def made():
-    return gaussian_cloud(30)
+def made(count=30):
+    generator = torch.Generator().manual_seed(0)
+    return Gaussians(
+        torch.randn(1, count, 3, generator=generator) + torch.tensor([0, 0, 5.0]),
+        torch.full((1, count, 3), 0.1),
+        torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
+        torch.full((1, count), 0.8),
+        0.2 * torch.randn(1, count, 4, 3, generator=generator),
+    )
 
 
 @pytest.mark.parametrize("inside", [True, False])

@@ -10,12 +10,20 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.scenes.ply import load_ply, read_header, save_ply
-from edit3r_testing.scenes import gaussian_cloud
 
 
 def scene(count=50, degree=0, seed=0, view_index=None):
-    cloud = gaussian_cloud(count, degree=degree, seed=seed)
-    return cloud if view_index is None else replace(cloud, view_index=view_index)
+    generator = torch.Generator().manual_seed(seed)
+    return Gaussians(
+        means=torch.randn(1, count, 3, generator=generator),
+        scales=torch.rand(1, count, 3, generator=generator) * 0.1 + 1e-4,
+        quats=torch.nn.functional.normalize(
+            torch.randn(1, count, 4, generator=generator), dim=-1
+        ),
+        opacities=torch.rand(1, count, generator=generator) * 0.98 + 0.01,
+        harmonics=torch.randn(1, count, (degree + 1) ** 2, 3, generator=generator),
+        view_index=view_index,
+    )
 
 
 def assert_same(a, b):
@@ -120,23 +128,13 @@ def test_uncertainty_is_one_more_property_that_comes_back(tmp_path):
     ).read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("field", "written", "read"),
-    [
-        ("uncertainty", torch.zeros(1, 4), [[1, 0, 1, 0]]),
-        ("object_index", torch.tensor([3, 1, 2, 0]), [-1, -1, -1, 0]),
-    ],
-)
-def test_strange_values_of_one_column_are_read_within_its_bounds(
-    tmp_path, field, written, read
-):
-    path = tmp_path / "a.ply"
-    save_ply(path, replace(scene(4), **{field: written}))
-    head, end, body = path.read_bytes().partition(b"end_header\n")
-    table = np.frombuffer(body, "<f4").reshape(4, -1).copy()
-    table[:3, -1] = [np.nan, -7, 1e30]
-    path.write_bytes(head + end + table.tobytes())
-    assert getattr(load_ply(path), field).tolist() == read
+def test_uncertainty_of_a_strange_file_lies_between_0_and_1(tmp_path):
+    save_ply(tmp_path / "a.ply", replace(scene(3), uncertainty=torch.zeros(1, 3)))
+    head, end, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    table = np.frombuffer(body, "<f4").reshape(3, -1).copy()
+    table[:, -1] = [np.nan, -7, 1e30]
+    (tmp_path / "a.ply").write_bytes(head + end + table.tobytes())
+    assert load_ply(tmp_path / "a.ply").uncertainty.tolist() == [[1, 0, 1]]
 
 
 @pytest.mark.parametrize(
@@ -155,6 +153,18 @@ def test_other_programs_pass_over_further_properties(tmp_path, more):
         theirs.append(gsply.plyread(str(tmp_path / "a.ply")))
     for name in ("means", "scales", "quats", "opacities", "sh0"):
         assert np.array_equal(*(getattr(read, name) for read in theirs))
+
+
+def test_what_is_no_object_is_none(tmp_path):
+    save_ply(
+        tmp_path / "a.ply", replace(scene(4), object_index=torch.tensor([3, 1, 2, 0]))
+    )
+    content = (tmp_path / "a.ply").read_bytes()
+    head, end, body = content.partition(b"end_header\n")
+    table = np.frombuffer(body, "<f4").reshape(4, -1).copy()
+    table[:3, -1] = [np.nan, -7, 1e30]
+    (tmp_path / "a.ply").write_bytes(head + end + table.tobytes())
+    assert load_ply(tmp_path / "a.ply").object_index.tolist() == [-1, -1, -1, 0]
 
 
 def test_view_index_in_many_runs_is_not_kept(tmp_path):
@@ -425,6 +435,22 @@ def test_properties_that_are_not_known_are_named(tmp_path):
     assert len(report.warnings) == 1 and "time_scale;" in report.warnings[0]
 
 
+@pytest.mark.parametrize("unit", [1, 1000])
+def test_sizes_that_cannot_be_logarithms_are_lengths(tmp_path, unit):
+    made = scene(400, degree=0)
+    made = replace(made, means=made.means * unit, scales=made.scales * unit)
+    save_ply(tmp_path / "a.ply", made)
+    with collecting(Report()) as report:
+        torch.testing.assert_close(load_ply(tmp_path / "a.ply").scales, made.scales)
+    assert not report.warnings
+    for axis in range(3):
+        lengths = made.scales[0, :, axis]
+        with_column(tmp_path / "a.ply", f"scale_{axis}", lengths, replaced=True)
+    with collecting(Report()) as report:
+        torch.testing.assert_close(load_ply(tmp_path / "a.ply").scales, made.scales)
+    assert "cannot be logarithms" in report.warnings[0]
+
+
 @pytest.mark.parametrize("kind", ["u1", "<f4"])
 def test_colours_stand_in_for_harmonics(tmp_path, kind):
     save_ply(tmp_path / "a.ply", scene(degree=0))
@@ -500,3 +526,12 @@ def test_a_scene_that_shows_nothing_is_refused_where_it_is_to_be_seen(tmp_path):
     assert load_ply(tmp_path / "a.ply").count == 50
     with pytest.raises(InputError, match=r"a\.ply: shows nothing"):
         load_ply(tmp_path / "a.ply", visible=True)
+
+
+@pytest.mark.parametrize("away, told", [(0, False), (1e4, False), (4e6, True)])
+def test_a_scene_where_numbers_are_too_coarse_for_it_is_told(tmp_path, away, told):
+    gaussians = scene()
+    save_ply(tmp_path / "a.ply", replace(gaussians, means=gaussians.means + away))
+    with collecting(Report()) as report:
+        load_ply(tmp_path / "a.ply")
+    assert ["from the origin" in text for text in report.warnings] == [True] * told

@@ -4,7 +4,7 @@ import gzip
 import json
 import os
 import struct
-from dataclasses import replace
+import zipfile
 
 import numpy as np
 import pytest
@@ -20,11 +20,18 @@ from edit3r.kit.scenes import reading as read
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import SIDES, from_outside, look_at
 from edit3r.kit.scenes.reading import load_scene
-from edit3r_testing.scenes import gaussian_cloud
 
 
 def scene(count=50, degree=1, **more):
-    return replace(gaussian_cloud(count, degree=degree), **more)
+    generator = torch.Generator().manual_seed(0)
+    return Gaussians(
+        torch.randn(1, count, 3, generator=generator) + torch.tensor([1.0, 2, 5]),
+        torch.full((1, count, 3), 0.1),
+        torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
+        torch.full((1, count), 0.9),
+        0.1 * torch.randn(1, count, (degree + 1) ** 2, 3, generator=generator),
+        **more,
+    )
 
 
 @pytest.mark.parametrize("name", ["renamed.ply", "renamed.spz", "no suffix"])
@@ -46,6 +53,35 @@ def test_a_glb_comes_back_exactly(tmp_path):
     back = load_scene(tmp_path / "s.glb")
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
         torch.testing.assert_close(getattr(back, name), getattr(made, name))
+
+
+@pytest.mark.parametrize("given", ["folder", "file"])
+def test_a_sog_in_loose_files_is_read(tmp_path, given):
+    pytest.importorskip("gaussforge", reason="needs the extra export")
+    made = scene()
+    edit3r.build("writer", "sog").write(tmp_path / "s.sog", SceneToWrite(made))
+    with zipfile.ZipFile(tmp_path / "s.sog") as archive:
+        archive.extractall(tmp_path / "loose")
+    place = scene_file(str(tmp_path / "loose"))
+    assert place == tmp_path / "loose/meta.json"
+    back = load_scene(place)
+    apart = torch.cdist(made.means[0], back.means[0])
+    assert back.count == made.count and apart.amin(1).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["a.webp"], "a.webp, which does not lie beside"),
+        (["../a"], "no file beside it"),
+    ],
+)
+def test_a_loose_sog_names_files_beside_it(tmp_path, names, told):
+    meta = {"version": 2, "means": {"files": names}}
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    (tmp_path.parent / "a").touch()
+    with pytest.raises(InputError, match=told):
+        load_scene(tmp_path / "meta.json")
 
 
 def test_a_damaged_file_is_one_sentence_even_where_the_library_dies_of_it(

@@ -7,7 +7,9 @@ import torch
 
 import edit3r
 from edit3r.contract.errors import InputError
+from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.cameras import project, unproject
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.scenes.axes import turned
 from edit3r.kit.scenes.scene_views import (
     BACKGROUND,
@@ -16,7 +18,6 @@ from edit3r.kit.scenes.scene_views import (
     pictures_of,
     up_of,
 )
-from edit3r_testing.scenes import balls
 from tests.plugins.scan import scan
 
 SIZE = (40, 40)
@@ -40,7 +41,16 @@ def room(count=40):
             place[:, others] = flat * halves[others]
             place[:, axis] = sign * half
             walls.append(place)
-    return balls(torch.cat(walls)[None], 0.4, size=0.08, opacity=0.95)
+    means = torch.cat(walls)
+    quats = torch.zeros(len(means), 4)
+    quats[:, 0] = 1
+    return Gaussians(
+        means[None],
+        torch.full((1, len(means), 3), 0.08),
+        quats[None],
+        torch.full((1, len(means)), 0.95),
+        colour_to_dc(torch.full((1, len(means), 1, 3), 0.4)),
+    )
 
 
 def test_places_stand_around_a_thing_and_see_all_of_it(rasterizer):

@@ -6,6 +6,7 @@ import shutil
 import struct
 import subprocess
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,27 +17,61 @@ import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.scenes.axes import UP_AND_BACK, flipped
+from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.kit.scenes.reading import load_scene
-from edit3r_testing.scenes import gaussian_cloud
 
 pytest.importorskip("gaussforge", reason="needs the extra export")
 
+FRAMES = [
+    *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+]
+"""As the extension SPZ_ADOBE_coordinate_system numbers them, from 1."""
+OURS = {"R": (1, 0, 0), "D": (0, 1, 0), "F": (0, 0, 1)}
+OPPOSITE = {"L": "R", "U": "D", "B": "F"}
+
 
 def scene(count=40, degree=0):
-    return gaussian_cloud(count, degree=degree)
+    generator = torch.Generator().manual_seed(0)
+    coefficients = (degree + 1) ** 2
+    return Gaussians(
+        torch.randn(1, count, 3, generator=generator) + torch.tensor([0, 0, 5.0]),
+        0.05 + 0.2 * torch.rand(1, count, 3, generator=generator),
+        torch.nn.functional.normalize(
+            torch.randn(1, count, 4, generator=generator), dim=-1
+        ),
+        0.2 + 0.7 * torch.rand(1, count, generator=generator),
+        0.3 * torch.randn(1, count, coefficients, 3, generator=generator),
+    )
+
+
+def axes_of(frame):
+    """Rows: the file's axes in ours."""
+    rows = []
+    for letter in frame:
+        sign = -1 if letter in OPPOSITE else 1
+        rows.append(sign * np.array(OURS[OPPOSITE.get(letter, letter)]))
+    return np.stack(rows).astype(float)
+
+
+def in_axes(gaussians, axes):
+    """A scene of degree 0 as other axes see it, which may be mirrored."""
+    turns = np.linalg.det(axes) * axes @ quats_to_matrices(gaussians.quats[0]).numpy()
+    quats = matrices_to_quats(torch.from_numpy(turns).float())[None]
+    means = gaussians.means @ torch.from_numpy(axes.T).float()
+    return replace(gaussians, means=means, quats=quats)
 
 
 def quantised(values, factor, offset, kind=np.uint8):
     return np.rint(values * factor + offset).clip(0, 255).astype(kind).tobytes()
 
 
-def spz(version, gaussians):
-    """The file that holds a scene of degree 0, y up and z backward, by the description."""
-    gaussians, n = flipped(gaussians, UP_AND_BACK), gaussians.count
+def spz(version, gaussians, frame="RUB"):
+    """The file that holds a scene of degree 0 in the axes `frame`, by the description."""
+    gaussians, n = in_axes(gaussians, axes_of(frame)), gaussians.count
     means = gaussians.means[0].numpy()
     w, x, y, z = gaussians.quats[0].numpy().T
-    head = struct.pack("<4sIIBBBB", b"NGSP", version, n, 0, 12, 0, 0)
+    head = struct.pack("<4sIIBBBB", b"NGSP", version, n, 0, 12, 2 * (frame != "RUB"), 0)
     if version == 1:
         places = means.astype("<f2").tobytes()
     else:
@@ -50,6 +85,9 @@ def spz(version, gaussians):
         body += quantised(np.stack((x, y, z), 1) * sign, 127.5, 127.5)
     else:
         body += b"".join(smallest_three(q) for q in np.stack((x, y, z, w), 1))
+    if frame != "RUB":
+        body += struct.pack("<III", 0x12340001, 4, 7)  # of somebody else
+        body += struct.pack("<III", 0xADBE0003, 4, FRAMES.index(frame) + 1)
     return gzip.compress(head + body)
 
 
@@ -75,10 +113,13 @@ def look_alike(first, second):
     return difference.max() < 0.06 and difference.mean() < 0.006
 
 
-@pytest.mark.parametrize("version", [1, 2, 3])
-def test_a_file_made_by_the_description_is_read_upright(tmp_path, version):
+@pytest.mark.parametrize(
+    ("version", "frame"),
+    [*product((1, 2, 3), ["RUB"]), *product((3,), FRAMES), (1, "LUF"), (2, "RFU")],
+)
+def test_a_file_made_by_the_description_is_read_upright(tmp_path, version, frame):
     made = scene()
-    (tmp_path / "s.spz").write_bytes(spz(version, made))
+    (tmp_path / "s.spz").write_bytes(spz(version, made, frame))
     read = load_scene(tmp_path / "s.spz")
     torch.testing.assert_close(read.means, made.means, atol=3e-3, rtol=1e-3)
     assert look_alike(read, made)
@@ -94,6 +135,9 @@ BAD = {
     "of version 4, cut off": b"NGSP"
     + struct.pack("<IIBBBBI", 4, 9, 0, 12, 0, 6, 32)
     + bytes(40),
+    "unknown axes": gzip.compress(
+        gzip.decompress(spz(3, scene(), "LUF"))[:-4] + struct.pack("<I", 99)
+    ),
     "harmonics of degree 9": gzip.compress(
         gzip.decompress(GOOD)[:12] + b"\x09" + gzip.decompress(GOOD)[13:]
     ),
@@ -224,3 +268,20 @@ def test_the_official_library_reads_files_made_by_the_description(tmp_path, vers
     made, file = scene(), tmp_path / "s.spz"
     file.write_bytes(spz(version, made))
     assert look_alike(read_officially(tmp_path, file), made)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", ["LUF", "RDF", "LDB", "RFU", "LBD"])
+def test_axes_mean_to_the_official_library_what_they_mean_here(tmp_path, frame):
+    """In version 4; of older ones it passes over extensions."""
+    made, file = scene(), tmp_path / "s.spz"
+    stored = in_axes(made, axes_of("RUB").T @ axes_of(frame))
+    job = {"write": str(file), "version": 4, "count": made.count, "degree": 0}
+    official(tmp_path, **job, **columns(stored))
+    content = bytearray(file.read_bytes())
+    record = struct.pack("<III", 0xADBE0003, 4, FRAMES.index(frame) + 1)
+    content[14] |= 2
+    content[16:20] = struct.pack("<I", 32 + len(record))
+    file.write_bytes(content[:32] + record + content[32:])
+    assert look_alike(read_officially(tmp_path, file), made)
+    assert look_alike(load_scene(file), made)
