@@ -480,7 +480,7 @@ def render(rasterizer: Rasterizer, scene: Gaussians, cameras: Cameras) -> Render
     require_type(rasterizer, answer, Rendering)
     drawn, views = answer.given, cameras.c2w.shape[:2]
     for name in rasterizer.gives:
-        sizes = getattr(drawn.get(name), "shape", ())
+        sizes: tuple[int, ...] = getattr(drawn.get(name), "shape", ())
         channels = RENDERED.get(name, sizes[2] if len(sizes) == 5 else "channels")
         shape = (*views, channels, *cameras.image_size)
         require_tensor(rasterizer, name, drawn.get(name), shape, scene.means.dtype)
