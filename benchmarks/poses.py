@@ -34,6 +34,7 @@ from edit3r_geometry.features import (
 from edit3r_geometry.registration import register
 from edit3r_measure.novel_view import views_of as views_with_poses
 from edit3r_measure.protocol import CLASSES as OVERLAPS, IndexEntry
+from edit3r_model.correspondences import find_correspondences
 from edit3r_training.procedural_scenes import (
     look_at,
     random_cameras,
@@ -52,7 +53,6 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view, intrinsics_from_fov
 from edit3r.kit.geometry.rotations import rotation_angle
-from edit3r.kit.geometry.warping import find_correspondences
 from edit3r.kit.photos.cameras import PosedCamera
 from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.intrinsics import DEFAULT_FOV

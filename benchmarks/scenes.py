@@ -56,7 +56,7 @@ from edit3r.kit.rendering import path_around
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
 from edit3r.running.geometry import default_matcher
-from edit3r.running.quality import read_quality
+from edit3r.running.quality import preset_point
 
 FULL = 512  # long side of the photos that are compared [pixels]
 
@@ -134,7 +134,7 @@ def measure_preset(
     files = [folder / cameras[index].file for index in (*chosen, *targets)]
     whole, count = edit3r.load_views(files, size=FULL), len(chosen)
     quality = None if preset == "default" else preset
-    size = read_quality().preset(quality).settings["size"] if quality else FULL
+    size = preset_point(quality)["settings"]["size"] if quality else FULL
     given = edit3r.load_views(files[:count], size=size)
     posed = whole.c2w[:, :count] if known else None
     options = {"matcher": posed_matcher(quality)}
@@ -189,7 +189,7 @@ def in_unit(result: edit3r.RunResult) -> SimpleNamespace:
 
 def posed_matcher(quality: str | None) -> dict:
     """The matcher that trusts poses, as fine as that of the preset."""
-    chosen = read_quality().preset(quality).settings if quality else {}
+    chosen = preset_point(quality)["settings"] if quality else {}
     depth = default_matcher(default_registry()).settings.model_dump(
         include=set(DepthSettings.model_fields)
     )

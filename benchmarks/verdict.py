@@ -17,6 +17,7 @@ import torch
 import torch.nn.functional as F
 from clicks import filled
 from edit3r_judge.signals import measured
+from edit3r_uncertainty.api import render_uncertainty
 from edit3r_uncertainty.run import read_run
 from edit3r_uncertainty.signals import (
     CONSTANT,
@@ -50,7 +51,7 @@ from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.photos.posed_folder import read_posed_folder
-from edit3r.kit.rendering import render_numbers, render_uncertainty
+from edit3r.kit.rendering import render_numbers
 from edit3r.running import usual_reader
 from edit3r.running.editors import edit_to_judge, read
 from edit3r.running.steps.judge import seen_half_way

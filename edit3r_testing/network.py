@@ -16,7 +16,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
 from edit3r.kit import asking
-from edit3r.kit.checks import check_gaussians
+from edit3r.kit.checks import require_gaussians
 from edit3r_testing.contract import Contract
 from edit3r_testing.scenes import true_geometry
 
@@ -121,7 +121,7 @@ class HeadContract(Contract):
         for count in (2, 3, 4):
             views = self._views(count)
             gaussians = self._gaussians(views)
-            self.call(check_gaussians, self.subject, gaussians, 1, views.images.dtype)
+            self.call(require_gaussians, self.subject, gaussians, 1, views.images.dtype)
 
     def test_view_index_is_view_major(self) -> None:
         views, each = self._views(3), self.subject.per_pixel

@@ -18,6 +18,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 FOV_X = 0.9  # [radians]
 # between neighbouring cameras [scene units]; the wall is about 3.5 away
@@ -172,6 +173,25 @@ def gaussian_cloud(
         opacities=uniform(batch, count, low=0.05, high=0.95),
         harmonics=uniform(batch, count, (degree + 1) ** 2, 3, low=-0.6, high=0.6),
     )
+
+
+def balls(
+    means: Float[Tensor, "batch gaussian 3"],
+    colours: Tensor | float = 0.5,
+    *,
+    size: float = 0.1,
+    opacity: float = 0.9,
+    harmonics: Tensor | None = None,
+    view_index: Tensor | None = None,
+) -> Gaussians:
+    """Round Gaussians of one size and opacity, in plain sRGB `colours` or with `harmonics`."""
+    if harmonics is None:
+        plain = torch.as_tensor(colours).to(means).expand_as(means)
+        harmonics = colour_to_dc(plain)[:, :, None]
+    quats = means.new_tensor([1.0, 0, 0, 0]).repeat(*means.shape[:2], 1)
+    opacities = torch.full_like(means[..., 0], opacity)
+    scales = torch.full_like(means, size)
+    return Gaussians(means, scales, quats, opacities, harmonics, view_index)
 
 
 def cameras_around(

@@ -2,11 +2,12 @@
 what all of these have in common once they are built.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from edit3r.contract.weights import NAME, Weights
+from edit3r.contract.weights import Weights, require, require_name
 
 # it takes a tenth of a second to import, and declarations need none of it
 if TYPE_CHECKING:
@@ -73,44 +74,32 @@ class Component:
     weights: tuple[Weights, ...] = ()
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
-            raise ValueError(
-                f"component name {self.name!r} must be lower-case letters, digits and dashes"
-            )
+        require_name("component", self.name)
         who = f"component {self.name!r}"
-        if (
-            not isinstance(self.target, str)
-            or self.target.count(":") != 1
-            or not all(self.target.split(":"))
-        ):
-            raise ValueError(f"{who}: target {self.target!r} must read 'module:Class'")
+        told = f"{who}: target {self.target!r} must read 'module:Class'"
+        text = isinstance(self.target, str)
+        require(text and re.fullmatch("[^:]+:[^:]+", self.target), told)
         for field in ("summary", "extra", "licence", "citation", *_OF_WRITERS):
-            if not isinstance(getattr(self, field), str):
-                raise ValueError(
-                    f"{who}: {field} must be text, got {getattr(self, field)!r}"
-                )
+            value = getattr(self, field)
+            told = f"{who}: {field} must be text, got {value!r}"
+            require(isinstance(value, str), told)
         for field in ("requires", "parts", "devices", "actions"):
             object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
-        if not isinstance(self.weights, tuple) or not all(
-            isinstance(item, Weights) for item in self.weights
-        ):
-            raise ValueError(
-                f"{who}: weights must be a tuple of edit3r.contract.weights.Weights, got "
-                f"{self.weights!r}"
-            )
-        if any(character in self.suffix + self.stem for character in "/\\\0"):
-            raise ValueError(f"{who}: suffix and stem are parts of a file's name")
-        unknown = [part for part in self.parts if part not in KINDS]
-        if unknown:
-            raise ValueError(
-                f"{who}: unknown part kind {unknown[0]!r}; kinds are {', '.join(KINDS)}"
-            )
+        given = self.weights
+        told = f"{who}: weights must be a tuple of edit3r.contract.weights.Weights"
+        held = isinstance(given, tuple) and all(
+            isinstance(one, Weights) for one in given
+        )
+        require(held, f"{told}, got {given!r}")
+        plain = not any(sign in self.suffix + self.stem for sign in "/\\\0")
+        require(plain, f"{who}: suffix and stem are parts of a file's name")
+        for part in self.parts:
+            told = f"{who}: unknown part kind {part!r}; kinds are {', '.join(KINDS)}"
+            require(part in KINDS, told)
         limits = (self.min_views, 1 if self.max_views is None else self.max_views)
-        if not all(isinstance(limit, int) and limit >= 1 for limit in limits):
-            raise ValueError(
-                f"{who}: min_views and max_views must be 1 or more, got {self.min_views}, "
-                f"{self.max_views}"
-            )
+        told = f"{who}: min_views and max_views must be 1 or more"
+        held = all(isinstance(limit, int) and limit >= 1 for limit in limits)
+        require(held, f"{told}, got {self.min_views}, {self.max_views}")
 
     @property
     def makes_folder(self) -> bool:

@@ -16,7 +16,7 @@ classes are frozen; change one with `dataclasses.replace`.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -26,6 +26,9 @@ from torch.nn.functional import interpolate
 from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import Instruction
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 MAX_DEGREE = 4
 
 DC = 0.28209479177387814
@@ -33,7 +36,8 @@ DC = 0.28209479177387814
 """
 DISC_THICKNESS = 1e-3
 """Thickness of a disc with two scales, as 2DGS has them, in its smaller one."""
-Moved = TypeVar("Moved", bound="Tensors")
+Moved = TypeVar("Moved")
+Record = TypeVar("Record", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,6 +61,23 @@ class Tensors:
             text = list(value.shape) if isinstance(value, Tensor) else repr(value)
             shown.append(f"{one.name}={text}")
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def along(
+    record: Record, axis: str, index: slice | list[int] | Tensor, **changes: Any
+) -> Record:
+    """A record with `index` alone of an axis that the shapes of its fields name, and `changes`."""
+    for one in fields(record):
+        value = getattr(record, one.name)
+        shape = next(filter(None, map(_shape_of, (one.type, *get_args(one.type)))), [])
+        if isinstance(value, Tensor) and axis in shape:
+            place = [*[slice(None)] * shape.index(axis), index]
+            changes.setdefault(one.name, value[tuple(place)])
+    return replace(record, **changes)
+
+
+def _shape_of(annotation: Any) -> list[str]:
+    return getattr(annotation, "dim_str", "").split()
 
 
 def _moved(value: Any, to: Callable[[Tensor], Tensor]) -> Any:
@@ -127,11 +148,7 @@ class Views(Tensors):
 
     def scene(self, index: int) -> "Views":
         """One scene of the batch, as a batch of one."""
-        one = slice(index, index + 1)
-        c2w = None if self.c2w is None else self.c2w[one]
-        return replace(
-            self, images=self.images[one], intrinsics=self.intrinsics[one], c2w=c2w
-        )
+        return along(self, "batch", slice(index, index + 1))
 
     def select(self, indices: Iterable[int]) -> "Views":
         """The views at `indices`, in that order."""
@@ -139,11 +156,8 @@ class Views(Tensors):
         if index == list(range(self.count)):  # images of many views are not kept twice
             return self
         names = tuple(self.names[i] for i in index) if self.names else ()
-        c2w = None if self.c2w is None else self.c2w[:, index]
         assumed = tuple(self.assumed[i] for i in index) if self.assumed else ()
-        return Views(
-            self.images[:, index], self.intrinsics[:, index], names, c2w, assumed
-        )
+        return along(self, "view", index, names=names, assumed=assumed)
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,21 +188,11 @@ class EditRequest(Tensors):
 
     def of_scene(self, index: int) -> "EditRequest":
         """The same request for one scene of the batch."""
-        one = slice(index, index + 1)
-        return replace(
-            self,
-            masks=None if self.masks is None else self.masks[one],
-            regions=None if self.regions is None else self.regions[:, one],
-        )
+        return along(self, "batch", slice(index, index + 1))
 
     def of_views(self, indices: Iterable[int]) -> "EditRequest":
         """The same request for the views at `indices` only."""
-        index = list(indices)
-        return replace(
-            self,
-            masks=None if self.masks is None else self.masks[:, index],
-            regions=None if self.regions is None else self.regions[:, :, index],
-        )
+        return along(self, "view", list(indices))
 
 
 @dataclass(frozen=True, repr=False)
@@ -215,8 +219,7 @@ class Cameras(Tensors):
 
     def select(self, indices: Iterable[int]) -> "Cameras":
         """The cameras at `indices`, in that order."""
-        index = list(indices)
-        return Cameras(self.c2w[:, index], self.intrinsics[:, index], self.image_size)
+        return along(self, "camera", list(indices))
 
     def at(self, size: tuple[int, int]) -> "Cameras":
         """The cameras with images of another (height, width) [pixels]."""

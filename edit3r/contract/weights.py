@@ -25,6 +25,17 @@ _SOURCE = re.compile(r"hub:[\w.-]+/[\w.-]+|package:[\w.-]+|npm:(@[\w.-]+/)?[\w.-
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
+def require(holds: object, told: str) -> None:
+    """Raise ValueError, in a declaration, with what does not hold."""
+    if not holds:
+        raise ValueError(told)
+
+
+def require_name(what: str, name: object) -> None:
+    told = f"{what} name {name!r} must be lower-case letters, digits and dashes"
+    require(isinstance(name, str) and NAME.fullmatch(name), told)
+
+
 @dataclass(frozen=True)
 class Weights:
     """One set of files that a component loads, and what a user should know before fetching it."""
@@ -46,44 +57,27 @@ class Weights:
     caution: str = ""  # a sentence that whoever fetches them must have read
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
-            raise ValueError(
-                f"weights name {self.name!r} must be lower-case letters, digits and dashes"
-            )
+        require_name("weights", self.name)
         who = f"weights {self.name!r}"
-        if self.bundle not in ("", *BUNDLES):
-            raise ValueError(
-                f"{who}: bundle must be one of {', '.join(BUNDLES)}, got {self.bundle!r}"
-            )
-        if self.commercial not in COMMERCIAL:
-            raise ValueError(
-                f"{who}: commercial must be one of {', '.join(COMMERCIAL)}, got {self.commercial!r}"
-            )
-        if not _SOURCE.fullmatch(self.source):
-            raise ValueError(
-                f"{who}: source must read 'hub:OWNER/NAME', 'package:NAME' or 'npm:NAME', got "
-                f"{self.source!r}"
-            )
-        if not self.files:
-            raise ValueError(f"{who}: names no files")
+        one_of = {"bundle": ("", *BUNDLES), "commercial": COMMERCIAL}
+        for field, allowed in one_of.items():
+            value = getattr(self, field)
+            listed = ", ".join(filter(None, allowed))
+            told = f"{who}: {field} must be one of {listed}, got {value!r}"
+            require(value in allowed, told)
+        sources = "'hub:OWNER/NAME', 'package:NAME' or 'npm:NAME'"
+        told = f"{who}: source must read {sources}, got {self.source!r}"
+        require(_SOURCE.fullmatch(self.source), told)
+        require(self.files, f"{who}: names no files")
+        pairs = f"{who}: files must be pairs of a relative path and a SHA-256"
         for path, sha256 in self.files:
-            inside = (
-                path
-                and not path.startswith("/")
-                and "\\" not in path
-                and ".." not in PurePosixPath(path).parts
-            )
-            if not inside or (sha256 and not _SHA256.fullmatch(sha256)):
-                raise ValueError(
-                    f"{who}: files must be pairs of a relative path and a SHA-256, got "
-                    f"{(path, sha256)!r}"
-                )
-        if self.packed and not (
-            self.revision and all(sha256 for _, sha256 in self.files)
-        ):
-            raise ValueError(
-                f"{who}: from a package, the version and every SHA-256 must be given"
-            )
+            inside = path and not path.startswith("/") and "\\" not in path
+            inside = inside and ".." not in PurePosixPath(path).parts
+            known = not sha256 or _SHA256.fullmatch(sha256)
+            require(inside and known, f"{pairs}, got {(path, sha256)!r}")
+        told = f"{who}: from a package, the version and every SHA-256 must be given"
+        pinned = self.revision and all(sha256 for _, sha256 in self.files)
+        require(pinned or not self.packed, told)
 
     @property
     def packed(self) -> bool:

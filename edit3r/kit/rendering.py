@@ -90,22 +90,6 @@ def render_numbers(
     return rasterizer.render(grey, cameras)
 
 
-def render_uncertainty(
-    rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras
-) -> Float[Tensor, "batch camera height width"]:
-    """The probability, for each pixel, that its colour is wrong; 1 where the scene shows nothing.
-
-    Raises ValueError for a scene without `uncertainty`.
-    """
-    if gaussians.uncertainty is None:
-        raise ValueError(
-            "render_uncertainty: nobody estimated this scene's uncertainty"
-        )
-    shown = render_numbers(rasterizer, gaussians, gaussians.uncertainty, cameras)
-    missing = 1 - shown.alphas[:, :, 0]
-    return (shown.images[:, :, 0] + missing).clamp(0, 1)
-
-
 def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
     """A camera path around `cameras`, whose swing is bounded by the depth of what they show."""
     # Indexing by a mask makes five whole numbers of each pixel first.

@@ -98,8 +98,8 @@ def run_resumable(
     task = Task(function, workers.threads)
     alone = workers.spread == "processes" and workers.count == 1 and not workers.may_die
     todo = left.items()
-    made = _alone(task, todo) if alone else _spread(task, todo, workers, group)
-    with closing(made) as rows:
+    here = (task.do(job) for job in todo)
+    with closing(here if alone else _spread(task, todo, workers, group)) as rows:
         for count, (key, row) in enumerate(rows, start=1):
             rows_by_key[key] = append_row(path, {key_name: key, **row})
             rate = (time.monotonic() - start) / count
@@ -170,10 +170,6 @@ def _line(row: Row) -> str:
         json.dumps(json.loads(to_json(row, inf_nan_mode="null")), ensure_ascii=False)
         + "\n"
     )
-
-
-def _alone(task: Task, jobs: Iterable[KeyedJob]) -> Generator[KeyedRow, None, None]:
-    yield from map(task.do, jobs)
 
 
 def _spread(

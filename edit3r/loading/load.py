@@ -64,9 +64,7 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
 
 @contextmanager
 def _output_as_remarks() -> Iterator[None]:
-    """Lead what a module prints when it is imported to standard error: standard output may be read
-    by a program.
-    """
+    """Lead what an imported module prints to standard error: programs read standard output."""
     sys.stdout.flush()
     kept = None
     with suppress(OSError):  # closed streams

@@ -27,13 +27,7 @@ from .geometry import (
 from .job import RunJob as RunJob, job_from as job_from
 from .measuring import read_metres as read_metres
 from .pipeline import preview as preview, preview_photo as preview_photo, run as run
-from .quality import (
-    PRESETS as PRESETS,
-    Expected as Expected,
-    MeasuredPoint as MeasuredPoint,
-    Quality as Quality,
-    write_quality as write_quality,
-)
+from .quality import PRESETS as PRESETS, SHIPPED as SHIPPED
 from .records import Preview as Preview
 from .result import (
     RunResult as RunResult,

@@ -242,9 +242,9 @@ class RunConfig(Settings):
         """Names of the settings that were given, other than by the preset."""
         preset: Mapping[str, Any] = {}
         if self.quality is not None:
-            from edit3r.running.quality import read_quality
+            from edit3r.running.quality import preset_point
 
-            preset = read_quality().preset(self.quality).settings
+            preset = preset_point(self.quality)["settings"]
         given = self.model_fields_set
         return {name for name in given if getattr(self, name) != preset.get(name)}
 

@@ -23,9 +23,7 @@ from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS
 
 MIN_MOTION = 0.004
-"""How far measured points must move from photo to photo for depth to mean anything [long sides].
-No figure kept.
-"""
+"""How far measured points must move for depth to mean anything [long sides]; no figure kept."""
 ON_ONE_PLANE = 0.6 / 256
 """How far points may lie from where one homography brings them [long sides]; photos of things in
 depth miss it ten times as far. No figure kept.

@@ -18,7 +18,14 @@ from torch import Tensor
 
 from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import Geometry, Selected, Selection
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.types import (
+    Cameras,
+    Gaussians,
+    Reconstruction,
+    Rendering,
+    Views,
+    along,
+)
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
@@ -68,12 +75,13 @@ class Inputs:
 
     def select(self, indices: list[int]) -> "Inputs":
         """The same with the views at `indices` only."""
-        return replace(
+        return along(
             self,
+            "view",
+            indices,
             photos=self.photos.select(indices),
             start=self.start.select(indices),
             files=tuple(self.files[i] for i in indices) if self.files else (),
-            masks=_of_views(self.masks, indices),
             things={name: masks[indices] for name, masks in self.things.items()},
         )
 
@@ -175,11 +183,10 @@ class SelectedRegions:
 
     def select(self, indices: list[int]) -> "SelectedRegions":
         """The same with the views at `indices` only."""
-        regions = self.regions
-        return replace(
+        return along(
             self,
-            masks=_of_views(self.masks, indices),
-            regions=None if regions is None else regions[:, :, indices],
+            "view",
+            indices,
             selected=tuple(one.select(indices) for one in self.selected),
             things={name: masks[indices] for name, masks in self.things.items()},
         )
@@ -290,7 +297,3 @@ def known_cameras(reconstruction: Reconstruction) -> Cameras:
     """The cameras of a checked reconstruction, which has them whether predicted or by PnP."""
     assert reconstruction.cameras is not None
     return reconstruction.cameras
-
-
-def _of_views(maps: Tensor | None, indices: list[int]) -> Tensor | None:
-    return None if maps is None else maps[:, indices]

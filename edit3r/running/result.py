@@ -19,7 +19,6 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     DRAWING,
-    Candidate,
     Editor,
     OtherCandidates,
     Rasterizer,
@@ -125,9 +124,7 @@ class RunResult:
 
     @cached_property
     def scene(self) -> Gaussians:
-        """The edited scene; of a given one in its own frame and unit, with the bits it came with
-        where nothing changed.
-        """
+        """The edited scene; a given one in its own frame and unit, unchanged bits kept."""
         given, records = self.records.inputs.scene, self.records
         if given is None:
             return self.gaussians
@@ -252,9 +249,7 @@ class RunResult:
 
 
 def write_result(root: Path, result: RunResult) -> None:
-    """Render and write what the run's `outputs` and `export` ask for into the existing folder
-    `root`, and `run.json`.
-    """
+    """Render and write what the run's `outputs` and `export` ask for, and `run.json`."""
     folder, report = RunFolder(root), result.report
     writers = [result.components.writer(name) for name in result.config.writers]
     drawing = [writer for writer in writers if {*writer.needs} & {*DRAWING}]
@@ -411,19 +406,19 @@ def _about(result: RunResult) -> str:
 
 
 def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
-    """The sheet of what `edit3r.running.pipeline.preview` returns: photos with the outline of what
-    is selected, and the 2D edit.
-    """
+    """The sheet of a preview: photos with the outline of what is selected, and the 2D edit."""
     photos, masks = preview.inputs.photos, preview.selection.masks
     outlined = outlined_views(images_of(photos), None if masks is None else masks[0])
     columns = {"photo": outlined}
+    verdict = None if preview.edit is None else preview.edit.verdict
+    answers = _answers(preview.selection, verdict)
     if preview.edit is not None:
         columns["2D edit"] = images_of(preview.edit.views)
     sheet = draw_sheet(
         columns,
         names=photos.names,
         title=prompt or "no prompt",
-        subtitle=_preview_line(preview),
+        subtitle=f"preview: nothing is reconstructed yet{answers}",
     )
     candidates = _other_candidates(preview.selection.selected, photos)
     return with_candidates(sheet, candidates)
@@ -438,21 +433,13 @@ def _other_candidates(
         if selected.is_sure or len(selected.candidates) < 2:
             continue
         view = selected.candidates[0].view
-        masks = {_chosen_by(one, selected): one.mask for one in selected.candidates}
+        masks = {}
+        for one in selected.candidates:
+            taken = " (taken)" if one.number == selected.taken else ""
+            masks[f"--candidate {one.number}{taken}"] = one.mask
         photo = images_of(photos)[view]
         candidates.append(OtherCandidates(photo, photos.names[view], masks))
     return tuple(candidates)
-
-
-def _chosen_by(candidate: Candidate, selected: Selected) -> str:
-    taken = " (taken)" if candidate.number == selected.taken else ""
-    return f"--candidate {candidate.number}{taken}"
-
-
-def _preview_line(preview: Preview) -> str:
-    line = "preview: nothing is reconstructed yet"
-    edit = None if preview.edit is None else preview.edit.verdict
-    return line + _answers(preview.selection, edit)
 
 
 def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:

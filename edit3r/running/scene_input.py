@@ -18,7 +18,7 @@ from edit3r.kit.files.names import unique_names
 from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.framing import Frame
-from edit3r.kit.photos.images import Photo
+from edit3r.kit.photos.images import Photo, evenly
 from edit3r.kit.scenes.axes import turned
 from edit3r.kit.scenes.files import LOOSE, is_loose_sog
 from edit3r.kit.scenes.look import camera_file_of
@@ -223,10 +223,8 @@ def _places(
     else:
         there, posed = read_scene_cameras(source)
         names = unique_names([Path(one.file).stem for one in posed])
-    most = views or USUAL_VIEWS
-    if there.count > most:
-        chosen = torch.linspace(0, there.count - 1, most).round().long().tolist()
-        there, names = there.select(chosen), [names[one] for one in chosen]
+    chosen = evenly(range(there.count), views or USUAL_VIEWS)
+    there, names = there.select(chosen), [names[one] for one in chosen]
     share = min(1.0, longer / max(there.image_size))
     height, width = (max(1, round(share * side)) for side in there.image_size)
     return as_given(there.at((height, width)), names)

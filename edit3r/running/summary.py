@@ -92,22 +92,18 @@ def _named_settings(result: RunResult) -> str:
     return f"custom ({', '.join(changed)})" if changed else "default"
 
 
-def _lens_sources(result: RunResult) -> list[str]:
-    """Who told the lens, in this run or in the one that it goes on from."""
-    return list(map(str, result.report.notes.get("lens.source", ())))
-
-
 def _field_of_view(result: RunResult) -> str:
     """The horizontal field of view that view 0 was used with, and who said so."""
     focal = float(result.cameras.intrinsics[0, 0, 0, 0])  # [image widths]
     degrees = math.degrees(2 * math.atan(0.5 / focal))
+    told = map(str, result.report.notes.get("lens.source", ()))
     if not any(result.photos.assumed):
         source = "known"
     elif "lens.alike" in result.report.notes:
         source = (
             "guessed, since the photos do not show it; set it with --fov or --cameras"
         )
-    elif any(one.startswith(READ_LENS) for one in _lens_sources(result)):
+    elif any(one.startswith(READ_LENS) for one in told):
         source = "read from the photos"
     else:
         source = "assumed; set it with --fov or --cameras"

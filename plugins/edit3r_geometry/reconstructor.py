@@ -1,15 +1,19 @@
 """The reconstructor `classical`: measured depth, one Gaussian a pixel."""
 
+from itertools import permutations
+
 import torch
+from jaxtyping import Bool, Float
 from pydantic import Field
+from torch import Tensor
 
 import edit3r
 from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.checks import require_geometry
 from edit3r.kit.geometry.background_fill import background_layer, rim
-from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.warping import contradicted, seen_by_others
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians, unproject
+from edit3r.kit.geometry.warping import contradicted, seen_by
 
 
 class ClassicalReconstructor(Reconstructor):
@@ -75,3 +79,14 @@ class ClassicalReconstructor(Reconstructor):
                 (gaussians, rim(views, geometry, chosen.rim, chosen.guessed_opacity))
             )
         return Reconstruction(gaussians, cameras, geometry.registered, measured)
+
+
+def seen_by_others(
+    geometry: Geometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Pixels whose point lies within the image of another registered view, hidden there or not."""
+    points = unproject(geometry.depths, intrinsics, geometry.c2w).flatten(2, 3)
+    seen = torch.zeros(points.shape[:3], dtype=torch.bool, device=points.device)
+    for view, other in permutations(range(points.shape[1]), 2):
+        seen[:, view] |= seen_by(points[:, view], geometry, intrinsics, other)
+    return seen.view(geometry.depths.shape)

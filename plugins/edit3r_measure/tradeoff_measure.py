@@ -33,19 +33,10 @@ from edit3r.kit.command.results import grouped, markdown_table
 from edit3r.kit.compute.lpips import lpips_weights
 from edit3r.kit.provenance import installed_versions
 from edit3r.kit.workers import run_resumable
-from edit3r.running import (
-    PRESETS,
-    Expected,
-    MeasuredPoint,
-    Quality,
-    RunJob,
-    RunResult,
-    make_run_config,
-    run,
-    write_quality,
-)
+from edit3r.running import PRESETS, RunJob, RunResult, make_run_config, run
 from edit3r_measure.novel_view import novel_view
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
+from edit3r_measure.tradeoff_points import Expected, MeasuredPoint, Quality
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -264,7 +255,7 @@ def write_presets(quality: Quality) -> Path:
         raise Edit3rError(
             f"the presets stay as they are: no three points lie {APART:g} times apart in time."
         )
-    return write_quality(quality)
+    return quality.write()
 
 
 def report(quality: Quality, rows: Rows) -> str:

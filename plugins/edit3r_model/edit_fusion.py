@@ -9,9 +9,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r.kit.compute.layers import Conv2d, bilinear
+from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r_model.colour_function import CHANNELS, change_of
+from edit3r_model.layers import Conv2d
 from edit3r_model.small_backbone import (
     STRIDE,
     UPSAMPLING,

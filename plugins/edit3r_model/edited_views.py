@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.kit.geometry.warping import SAME_SURFACE, Correspondences, warp
+from edit3r.kit.geometry.warping import SAME_SURFACE, warp
+from edit3r_model.correspondences import Correspondences
 
 CHANGE = 2 / 255
 """A change below this [sRGB] counts in proportion."""

@@ -17,14 +17,15 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Backbone, Geometry
 from edit3r.contract.settings import Index
 from edit3r.contract.types import Features
-from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
+from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import resize
-from edit3r.kit.geometry.warping import (
+from edit3r.kit.geometry.warping import warp
+from edit3r_model.correspondences import (
     Correspondences,
     find_correspondences,
     partner_views,
-    warp,
 )
+from edit3r_model.layers import Conv2d, GroupNorm
 
 STRIDE = 2
 """Image pixels per side of a token."""

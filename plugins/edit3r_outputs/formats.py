@@ -15,15 +15,10 @@ from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.axes import LEAST_OPACITY, UP_AND_BACK, flipped
-from edit3r.kit.scenes.placement import (
-    PLACED,
-    FilePlacement,
-    fitting,
-    placed,
-    with_placement,
-)
+from edit3r.kit.scenes.placement import PLACED, FilePlacement
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.kit.scenes.reading import convert
+from edit3r_outputs.placing import fitting, placed, with_placement
 
 # The numbers of this block: no figures kept.
 CHUNK = 256  # Gaussians of a compressed PLY that share a box

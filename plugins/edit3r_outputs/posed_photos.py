@@ -4,11 +4,14 @@ nerfstudio's `transforms.json`.
 Both have the centre of the top-left pixel at (0.5, 0.5), as `cameras.json` has.
 """
 
+import json
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 
 from edit3r.contract.interfaces import SceneToWrite, Writer
@@ -16,7 +19,7 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.cameras import invert_rigid, to_pixels
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import matrices_to_quats
-from edit3r.kit.photos.cameras import write_transforms
+from edit3r.kit.photos.camera_entries import OPENGL_TO_OPENCV
 from edit3r.kit.photos.images import save_image
 from edit3r_outputs.mesh_ply import coloured_ply
 
@@ -95,3 +98,24 @@ def _points(
     means = gaussians.means[0, ::step].cpu().numpy()
     colours = dc_to_colour(gaussians.harmonics[0, ::step, 0]).clamp(0, 1).cpu()
     return means, (colours * 255).round().byte().numpy()
+
+
+def write_transforms(
+    path: Path, cameras: Cameras, files: Sequence[str], points: str = ""
+) -> None:
+    """Write the cameras of one scene (batch 1) as nerfstudio's `transforms.json`.
+
+    `points` names a PLY beside it with points of the same world, from which Gaussians may begin.
+    """
+    height, width = cameras.image_size
+    pixels = to_pixels(cameras.intrinsics[0].double(), cameras.image_size).tolist()
+    poses = (cameras.c2w[0].double() @ torch.from_numpy(OPENGL_TO_OPENCV)).tolist()
+    frames = []
+    for file, ((fx, _, cx), (_, fy, cy), _), pose in zip(files, pixels, poses):
+        frame = {"file_path": file, "w": width, "h": height}
+        frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "transform_matrix": pose}
+        frames.append(frame)
+    content: dict[str, Any] = {"camera_model": "PINHOLE", "frames": frames}
+    if points:
+        content["ply_file_path"] = points
+    path.write_text(json.dumps(content, indent=1, allow_nan=False), "utf-8")

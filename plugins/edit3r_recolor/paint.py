@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.reporting import say
-from edit3r.kit.compute.colour import oklab_to_rgb, rgb_to_oklab
+from edit3r_recolor.oklab import oklab_to_rgb, rgb_to_oklab
 
 Images = Float[Tensor, "view 3 height width"]
 Masks = Float[Tensor, "view height width"]

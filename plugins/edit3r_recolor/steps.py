@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.instructions import Change
-from edit3r.kit.compute.colour import oklab_to_rgb, rgb_to_oklab
+from edit3r_recolor.oklab import oklab_to_rgb, rgb_to_oklab
 from edit3r_recolor.recoloring import (
     RecolorParameters,
     adjust_contrast,

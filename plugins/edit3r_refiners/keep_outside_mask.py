@@ -22,7 +22,6 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.geometry.cameras import median_scale
 from edit3r.kit.geometry.maps import size_of
 from edit3r_refiners.merging import Region, own_pixel_inside
 
@@ -210,3 +209,16 @@ def _concatenated(first: Gaussians, second: Gaussians) -> Gaussians:
         )
 
     return Gaussians.cat((padded(first), padded(second)))
+
+
+def median_scale(
+    source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]
+) -> Float[Tensor, ""]:
+    """The factor that brings `source` to the size of `target`: the median ratio of their distances
+    from the origin.
+
+    Point i of both is the same point, in two frames with one origin but other units. 1 for none.
+    """
+    if len(source) == 0:
+        return target.new_ones(())
+    return (target.norm(dim=-1) / source.norm(dim=-1).clamp(min=1e-12)).median()

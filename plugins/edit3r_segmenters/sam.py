@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     SUBJECT,
     Box,
@@ -34,7 +35,6 @@ from edit3r.kit.weights.load import (
     foreign,
     identity,
     load_pretrained,
-    load_whole_network,
     out_of_memory_told,
     pick_device,
     require_at_hand,
@@ -357,3 +357,15 @@ def binary_masks(
         align_corners=False,
     )
     return (square[:, 0] >= 0.5).to(masks)
+
+
+def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
+    """A network by `load_pretrained`, refused where the files lack weights of it."""
+    network, report = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(report["missing_keys"] or report["mismatched_keys"])
+    if lacking:
+        raise InputError(
+            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, "
+            f"such as {lacking[0]}; with random ones in their place its answers would mean nothing."
+        )
+    return network

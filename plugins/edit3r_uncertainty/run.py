@@ -21,11 +21,12 @@ from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
-from edit3r.kit.rendering import render_each, render_uncertainty
+from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running import RunFolder
+from edit3r_uncertainty.api import render_uncertainty
 from edit3r_uncertainty.signals import photos_of, uncertainty
 
 # of the mean of red, green and blue, above which the edit changed a pixel; no figure kept

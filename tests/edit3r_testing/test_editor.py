@@ -45,37 +45,11 @@ def even_sizes_only(views, request, answer):
     return replace(answer, images=answer.images[..., :height, :width])
 
 
-def with_nan(views, request, answer):
-    images = answer.images.clone()
-    images[0, 0, 0, 0, 0] = torch.nan
-    return replace(answer, images=images)
-
-
 CASES = {
     "wrong size": (
         even_sizes_only,
         "test_keeps_size_dtype_and_range",
         "of shape [1, 2, 3, 49, 61], got",
-    ),
-    "out of range": (
-        lambda v, r, a: replace(a, images=a.images * 3),
-        "test_keeps_size_dtype_and_range",
-        "return images in [0, 1]",
-    ),
-    "NaN": (
-        with_nan,
-        "test_keeps_size_dtype_and_range",
-        "with 1 of 18432 values not finite",
-    ),
-    "wrong dtype": (
-        lambda v, r, a: replace(a, images=a.images.double()),
-        "test_keeps_size_dtype_and_range",
-        "return images in torch.float32",
-    ),
-    "a bare tensor": (
-        lambda v, r, a: a.images,
-        "test_keeps_size_dtype_and_range",
-        "return edit3r.contract.types.Views",
     ),
     "other intrinsics": (
         lambda v, r, a: replace(a, intrinsics=a.intrinsics * 2),

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import Rendering
 from edit3r_testing import RasterizerContract, cameras_around, gaussian_cloud
 
 
@@ -66,26 +65,6 @@ def noisy(rendering):
 RANGE, AGREES = "test_rendering_is_in_range", "test_agrees_with_the_reference"
 GRADIENT = "test_gradients_agree_with_the_reference"
 CASES = {
-    "a tuple": (
-        {"answer": lambda r: (r.images, r.alphas)},
-        RANGE,
-        "return edit3r.contract.types.Rendering",
-    ),
-    "a batch axis lost": (
-        {"answer": lambda r: Rendering(r.images[0], r.alphas, r.depths)},
-        RANGE,
-        "return images of shape [1, 2, 3, 24, 32]",
-    ),
-    "another dtype": (
-        {"answer": lambda r: r.to(torch.float64)},
-        RANGE,
-        "return images in torch.float32",
-    ),
-    "NaN": (
-        {"answer": lambda r: replace(r, depths=r.depths / r.depths)},
-        RANGE,
-        "values not finite",
-    ),
     "alphas beyond 1": (
         {"answer": lambda r: replace(r, alphas=r.alphas * 3)},
         RANGE,

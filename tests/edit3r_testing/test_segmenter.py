@@ -46,35 +46,10 @@ def lost_but_drawn(tracks):
 MARKED = "test_a_click_and_a_box_give_masks"
 NAMED = "test_words_give_masks_or_nothing"
 CASES = {
-    "a tuple": (
-        {"masks": lambda m: (m.logits,)},
-        MARKED,
-        "interfaces.MaskLogits, got tuple",
-    ),
-    "one mask without its axis": (
-        {"masks": lambda m: replace(m, logits=m.logits[0])},
-        MARKED,
-        "logits [n, h, w]",
-    ),
-    "no mask": (
-        {"masks": lambda m: replace(m, logits=m.logits[:0])},
-        MARKED,
-        "logits [n, h, w]",
-    ),
-    "logits that are no numbers": (
-        {"masks": lambda m: replace(m, logits=m.logits * float("nan"))},
-        MARKED,
-        "finite logits",
-    ),
     "a quality in percent": (
         {"masks": lambda m: replace(m, quality=torch.full((len(m.logits),), 90.0))},
         MARKED,
         "quality spans [90, 90]",
-    ),
-    "qualities of other masks": (
-        {"masks": lambda m: replace(m, quality=torch.ones(7))},
-        MARKED,
-        "their quality [n]",
     ),
     "an error when nothing stands out": (
         {"masks": fail_when_dull},

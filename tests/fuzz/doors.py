@@ -16,6 +16,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
@@ -33,7 +34,6 @@ from edit3r.kit.cache import Cache
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.cameras import (
     posed_cameras,
     read_cameras,
@@ -50,6 +50,7 @@ from edit3r.kit.weights.files import load_weights as load_trained
 from edit3r.loading.registry import build, default_registry
 from edit3r.running.config import make_run_config
 from edit3r.running.run_folder import RunFolder
+from edit3r_testing.scenes import gaussian_cloud
 
 SIZE = (24, 32)
 
@@ -665,15 +666,8 @@ def _cameras() -> Cameras:
 
 
 def _scene(count: int = 12) -> Gaussians:
-    generator = torch.Generator().manual_seed(0)
-    return Gaussians(
-        means=torch.randn(1, count, 3, generator=generator) + torch.tensor([0, 0, 5.0]),
-        scales=torch.full((1, count, 3), 0.1),
-        quats=torch.tensor([1.0, 0, 0, 0]).repeat(1, count, 1),
-        opacities=torch.full((1, count), 0.9),
-        harmonics=colour_to_dc(torch.rand(1, count, 1, 3, generator=generator)),
-        view_index=torch.arange(count) % 2,
-    )
+    cloud = gaussian_cloud(count, degree=0)
+    return replace(cloud, view_index=torch.arange(count) % 2)
 
 
 def _sound(gaussians: Gaussians) -> None:

@@ -4,8 +4,9 @@ that take no time.
 
 import torch
 
-from edit3r import Cameras, Component, Gaussians, Reconstruction, hookimpl
+from edit3r import Cameras, Component, Reconstruction, hookimpl
 from edit3r.contract.interfaces import Geometry, Matcher, Reconstructor
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 
 
 @hookimpl
@@ -33,36 +34,13 @@ class FlatReconstructor(Reconstructor):
         self.settings = settings
 
     def __call__(self, views, source=None, geometry=None, grid=None):
-        images = views.images
-        batch, count = images.shape[:2]
-        height, width = views.image_size
-        y, x = torch.meshgrid(
-            torch.linspace(-0.5, 0.5, height),
-            torch.linspace(-0.5, 0.5, width),
-            indexing="ij",
-        )
-        means = (
-            torch.stack((x, y, torch.ones_like(x)), -1)
-            .view(1, -1, 3)
-            .expand(batch, -1, -1)
-        )
-        total = means.shape[1]
-        gaussians = Gaussians(
-            means=means,
-            scales=torch.full((batch, total, 3), 0.5 / max(height, width)),
-            quats=torch.tensor([1.0, 0, 0, 0]).expand(batch, total, 4),
-            opacities=torch.full((batch, total), 0.9),
-            harmonics=((images[:, 0] - 0.5) / 0.2820948).flatten(2).mT[:, :, None],
-            view_index=torch.zeros(total, dtype=torch.int64),
-        )
-        return Reconstruction(
-            gaussians,
-            Cameras(
-                torch.eye(4).expand(batch, count, 4, 4),
-                views.intrinsics,
-                (height, width),
-            ),
-        )
+        poses = torch.eye(4).expand(*views.images.shape[:2], 4, 4)
+        cameras = Cameras(poses, views.intrinsics, views.image_size)
+        first = cameras.select([0])
+        ones = torch.ones_like(views.images[:, :1, 0])
+        scales = pixel_scales(ones, first.intrinsics, 0.5)
+        made = (views.images[:, :1], ones, first, scales, 0.9 * ones)
+        return Reconstruction(pixels_to_gaussians(*made), cameras)
 
 
 class FlatMatcher(Matcher):

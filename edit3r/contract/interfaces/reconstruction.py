@@ -17,6 +17,7 @@ from edit3r.contract.types import (
     Reconstruction,
     Tensors,
     Views,
+    along,
 )
 
 if TYPE_CHECKING:
@@ -137,28 +138,11 @@ class Geometry(Tensors):
 
     def scene(self, index: int) -> "Geometry":
         """The geometry of one scene of the batch, as a batch of one."""
-        one = slice(index, index + 1)
-        lens = self.intrinsics
-        return replace(
-            self,
-            c2w=self.c2w[one],
-            depths=self.depths[one],
-            confidence=self.confidence[one],
-            registered=self.registered[one],
-            intrinsics=None if lens is None else lens[one],
-        )
+        return along(self, "batch", slice(index, index + 1))
 
     def select(self, indices: list[int]) -> "Geometry":
         """The geometry of the views at `indices`, of which the first is view 0."""
-        lens = self.intrinsics
-        return replace(
-            self,
-            c2w=self.c2w[:, indices],
-            depths=self.depths[:, indices],
-            confidence=self.confidence[:, indices],
-            registered=self.registered[:, indices],
-            intrinsics=None if lens is None else lens[:, indices],
-        )
+        return along(self, "view", indices)
 
     def at(self, size: tuple[int, int]) -> "Geometry":
         """This geometry for views of another (height, width) [pixels]."""

@@ -67,9 +67,7 @@ _VALUE = re.compile(r"\s*([-+.\w]+|~|\[.*\]|\{.*\})\s*", re.DOTALL)
 
 
 def _typed(text: str) -> Any:
-    """A number, true, false, null, or a list or mapping in brackets, by YAML; else the text as it
-    was typed, with all that YAML would take for a comment or a key.
-    """
+    """A number, true, false, null, or a list or mapping in brackets, by YAML; else the text."""
     try:
         value = parse_yaml(text) if _VALUE.fullmatch(text) else text
     except ValueError:
@@ -85,9 +83,7 @@ _TAG = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without its guesses: 010, 1:05, 1_000, 2024-01-01 and yes are texts, of which a
-    setting's type makes what they are.
-    """
+    """YAML in which 010, 1:05, 1_000, 2024-01-01 and yes are texts."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
 

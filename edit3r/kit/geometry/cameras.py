@@ -155,19 +155,6 @@ def scale_poses(
     return scaled
 
 
-def median_scale(
-    source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]
-) -> Float[Tensor, ""]:
-    """The factor that brings `source` to the size of `target`: the median ratio of their distances
-    from the origin.
-
-    Point i of both is the same point, in two frames with one origin but other units. 1 for none.
-    """
-    if len(source) == 0:
-        return target.new_ones(())
-    return (target.norm(dim=-1) / source.norm(dim=-1).clamp(min=1e-12)).median()
-
-
 def pixel_scales(
     depths: Float[Tensor, "batch view height width"],
     intrinsics: Float[Tensor, "batch view 3 3"],

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
-from edit3r.contract.types import Views
+from edit3r.contract.types import Views, along
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
@@ -63,14 +63,12 @@ class Exposure:
         return Exposure(*(value.expand_as(self.gain) for value in values))
 
     def select(self, indices: list[int]) -> "Exposure":
-        return Exposure(self.gain[:, indices], self.offset[:, indices])
+        return along(self, "view", indices)
 
 
 @dataclass(frozen=True)
 class ExposureOfEdit:
-    """How edited photos' colours become the reference's: what was edited may follow other light
-    than the photos, as a drawing does.
-    """
+    """How edited photos' colours become the reference's, where the edit follows other light."""
 
     photos: Exposure
     edit: Exposure
@@ -88,7 +86,7 @@ class ExposureOfEdit:
 
     def select(self, indices: list[int]) -> "ExposureOfEdit":
         photos, edit = self.photos.select(indices), self.edit.select(indices)
-        return ExposureOfEdit(photos, edit, self.region[:, indices])
+        return along(self, "view", indices, photos=photos, edit=edit)
 
     def _either(self, edit: Images, photos: Images) -> Images:
         region = self.region.to(edit)
@@ -176,7 +174,7 @@ def _of_scene(
         for first, second in _near_pairs(geometry, scene)
     ]
     pairs = [pair for pair in pairs if pair.tells]
-    middles = [_middles(pair) for pair in pairs]
+    middles = [(one.own.median(0).values, one.other.median(0).values) for one in pairs]
     # In one light gain * spread of both are alike, and gain * middle + offset.
     ratios = [_log_ratio(pair, *both) for pair, both in zip(pairs, middles)]
     gain = _settled(pairs, ratios, count).exp().clamp(1 / MAX_GAIN, MAX_GAIN)
@@ -192,10 +190,6 @@ def _of_scene(
     gain[own_light] = 1.0
     offset[own_light] = 0.0
     return gain, offset
-
-
-def _middles(pair: _Pair) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
-    return pair.own.median(0).values, pair.other.median(0).values
 
 
 def _log_ratio(
@@ -275,9 +269,7 @@ def _reduced(
 def _shared(
     images: Images, views: Views, geometry: Geometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
-    """Exposed colours of the surfaces that two views surely show, as each shows them. Images and
-    geometry are at the reduced size.
-    """
+    """Exposed colours of the surfaces that two views surely show, as each shows them."""
     first, second = _of_both(images, views, geometry, scene, pair)
     exposed = [((c > EXPOSED[0]) & (c < EXPOSED[1])).all(1) for c in (first, second)]
     return first[exposed[0] & exposed[1]], second[exposed[0] & exposed[1]]
@@ -290,9 +282,7 @@ def _of_both(
     scene: int,
     pair: list[int],
 ) -> tuple[Float[Tensor, "pixel channel"], Float[Tensor, "pixel channel"]]:
-    """What the maps of two views are where both surely show one surface, on the CPU: what is
-    settled from it is small. Maps and geometry are at the reduced size.
-    """
+    """What the maps of two views are where both surely show one surface, on the CPU."""
     intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
     grid, same = shared_surface(
         geometry.depths[scene, pair], intrinsics, geometry.c2w[scene, pair]

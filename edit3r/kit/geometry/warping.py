@@ -1,6 +1,5 @@
-"""Where points of a view lie in other views: correspondences, warped images, what hides what."""
+"""Where points of a view lie in other views: warped images, what hides what."""
 
-from dataclasses import dataclass
 from itertools import permutations
 
 import torch
@@ -14,13 +13,9 @@ from edit3r.kit.geometry.maps import dilate
 
 __all__ = [
     "SAME_SURFACE",
-    "Correspondences",
     "contradicted",
-    "find_correspondences",
     "nearest_views",
-    "partner_views",
     "seen_by",
-    "seen_by_others",
     "shared_surface",
     "stands_before_others",
     "surfaces_apart",
@@ -29,9 +24,7 @@ __all__ = [
 
 TOLERANCE = 0.03
 SAME_SURFACE = 0.05
-"""Relative difference of depths within which two views show one surface, where nothing asks for
-more.
-"""
+"""Relative difference of depths within which two views usually show one surface."""
 """Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
 shows it too. No figure kept.
 """
@@ -49,45 +42,7 @@ time with the square of their number.
 """
 
 
-@dataclass(frozen=True)
-class Correspondences:
-    """Where each pixel of each view lies in the view's partner (see `partner_views`)."""
-
-    # normalised (x, y) in the partner's image
-    coordinates: Float[Tensor, "batch view height width 2"]
-    # 1: in front of the partner and within its image, else 0
-    inside: Float[Tensor, "batch view height width"]
-    # log(own depth there / partner's depth), in [-1, 1]
-    depth_ratio: Float[Tensor, "batch view height width"]
-    # < 0: floats in front of what the partner sees; > 0: hidden behind it
-
-
-def partner_views(views: int) -> list[int]:
-    """The view that each of `views` views is compared with: view 0, and view 1 for view 0."""
-    return [1] + [0] * (views - 1)
-
-
-def find_correspondences(
-    depths: Float[Tensor, "batch view height width"],
-    intrinsics: Float[Tensor, "batch view 3 3"],
-    c2w: Float[Tensor, "batch view 4 4"],
-) -> Correspondences:
-    """Project each view's depth map into its partner; `depths` are camera z."""
-    batch, views, height, width = depths.shape
-    partners = partner_views(views)
-    points = unproject(depths, intrinsics, c2w).reshape(batch, views, height * width, 3)
-    coordinates, z = project(points, intrinsics[:, partners], c2w[:, partners])
-    coordinates = coordinates.unflatten(2, (height, width))
-    z = z.view_as(depths)
-    inside = ((z > 1e-6) & (coordinates > 0).all(-1) & (coordinates < 1).all(-1)).to(
-        depths.dtype
-    )
-    coordinates = torch.where(
-        (z > 1e-6)[..., None], coordinates, torch.full_like(coordinates, -1)
-    ).clamp(-1, 2)
-    seen = warp(depths[:, partners, None], coordinates, mode="nearest")[:, :, 0]
-    ratio = torch.log(z.clamp(min=1e-6) / seen.clamp(min=1e-6)).clamp(-1, 1)
-    return Correspondences(coordinates, inside, ratio * inside)
+# < 0: floats in front of what the partner sees; > 0: hidden behind it
 
 
 def warp(
@@ -128,7 +83,8 @@ def contradicted(
     through, confirmed = (
         torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2)
     )
-    for view, other in _near_views(geometry):
+    nearest_others = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
+    for view, other in ((a, b) for a, row in enumerate(nearest_others) for b in row):
         grid, seen, z = _seen_there(
             points[:, view],
             surfaces[:, other],
@@ -146,19 +102,11 @@ def contradicted(
 
 
 def _better_measured(geometry: Geometry) -> Bool[Tensor, "batch view view"]:
-    """For each view that is mostly guessed the others of which clearly more was measured; none of
-    two: what one of them guesses, nobody else shows.
-    """
+    """For each view that is mostly guessed the others of which clearly more was measured."""
     share = geometry.measured * geometry.registered
     own, other = share[:, :, None], share[:, None]
     several = geometry.registered.sum(1)[:, None, None] > 2
     return several & (own < LITTLE_MEASURED) & (other > own + CLEARLY_MORE)
-
-
-def _near_views(geometry: Geometry) -> list[tuple[int, int]]:
-    """Each view with each other one, or with the `NEAR_VIEWS` nearest to it."""
-    nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
-    return [(view, other) for view, row in enumerate(nearest) for other in row]
 
 
 def nearest_views(
@@ -239,17 +187,6 @@ def _seen_there(
     grid = coordinates.unflatten(1, points.shape[1:3])
     seen = warp(surface[:, None], grid, mode="nearest", padding="zeros")[:, 0]
     return grid, seen, z.view_as(seen)
-
-
-def seen_by_others(
-    geometry: Geometry, intrinsics: Float[Tensor, "batch view 3 3"]
-) -> Bool[Tensor, "batch view height width"]:
-    """Pixels whose point lies within the image of another registered view, hidden there or not."""
-    points = unproject(geometry.depths, intrinsics, geometry.c2w).flatten(2, 3)
-    seen = torch.zeros(points.shape[:3], dtype=torch.bool, device=points.device)
-    for view, other in permutations(range(points.shape[1]), 2):
-        seen[:, view] |= seen_by(points[:, view], geometry, intrinsics, other)
-    return seen.view(geometry.depths.shape)
 
 
 def seen_by(

@@ -8,7 +8,6 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +18,6 @@ from edit3r.contract.types import Cameras
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.photos.camera_entries import (
-    OPENGL_TO_OPENCV,
     CameraEntry,
     NoSizeError,
     PosedCamera,
@@ -39,7 +37,6 @@ __all__ = [
     "read_cameras",
     "read_scene_cameras",
     "write_cameras",
-    "write_transforms",
 ]
 
 SPLITS = tuple(f"transforms_{part}.json" for part in ("train", "test", "val"))
@@ -143,28 +140,6 @@ def write_cameras(path: str | Path, cameras: Sequence[PosedCamera]) -> None:
         lines.append(json.dumps(entry, allow_nan=False))
     with atomic_write(path) as partial:
         partial.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
-
-
-def write_transforms(
-    path: str | Path, cameras: Cameras, files: Sequence[str], points: str = ""
-) -> None:
-    """Write the cameras of one scene (batch 1) as nerfstudio's `transforms.json`.
-
-    `points` names a PLY beside it with points of the same world, from which Gaussians may begin.
-    """
-    height, width = cameras.image_size
-    pixels = to_pixels(cameras.intrinsics[0].double(), cameras.image_size).tolist()
-    poses = (cameras.c2w[0].double() @ torch.from_numpy(OPENGL_TO_OPENCV)).tolist()
-    frames = []
-    for file, ((fx, _, cx), (_, fy, cy), _), pose in zip(files, pixels, poses):
-        frame = {"file_path": file, "w": width, "h": height}
-        frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "transform_matrix": pose}
-        frames.append(frame)
-    content: dict[str, Any] = {"camera_model": "PINHOLE", "frames": frames}
-    if points:
-        content["ply_file_path"] = points
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(content, indent=1, allow_nan=False), "utf-8")
 
 
 def _rounded(matrix: np.ndarray | None) -> list[list[float]] | None:

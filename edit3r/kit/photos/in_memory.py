@@ -56,11 +56,12 @@ def _items(photos: Any) -> list[Any]:
         items = list(photos)
     except TypeError:
         raise InputError(f"photos: got {_kind(photos)}, expected {EXPECTED}.") from None
-    return [one for item in items for one in (item if _is_stack(item) else [item])]
-
-
-def _is_stack(item: Any) -> bool:
-    return isinstance(item, np.ndarray | Tensor) and item.ndim == 4
+    stack = np.ndarray | Tensor
+    return [
+        one
+        for item in items
+        for one in (_items(item) if isinstance(item, stack) else [item])
+    ]
 
 
 def _write(item: Any, file: Path, label: str) -> None:

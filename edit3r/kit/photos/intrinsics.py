@@ -46,9 +46,7 @@ class Intrinsics:
 
 
 def known_poses(intrinsics: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
-    """The photos' poses where one file knows all of them: those of two files have no frame in
-    common, but for the parts of a data set.
-    """
+    """The photos' poses where one file, or the parts of one data set, know all of them."""
     poses = [one.c2w for one in intrinsics if one.c2w is not None]
     complete = (
         len(poses) == len(intrinsics)
@@ -60,9 +58,7 @@ def known_poses(intrinsics: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"]
 def as_others_of_its_size(
     intrinsics: Sequence[Intrinsics], sizes: Sequence[Size], index: int
 ) -> Intrinsics:
-    """A photo's intrinsics; where nobody knows them, those of other photos of its size if they
-    agree: one camera took them.
-    """
+    """A photo's intrinsics, or those of others of its size where nobody knows them."""
     of_photo = intrinsics[index]
     alike = [one for one, size in zip(intrinsics, sizes) if size == sizes[index]]
     known = [one for one in alike if not one.assumed]
@@ -81,9 +77,7 @@ class IntrinsicsFinder:
     """Looks up intrinsics photo by photo; camera files are read once."""
 
     def __init__(self, cameras: str | Path | None, fov: float | None) -> None:
-        """`cameras`: a file to use, None to look beside each photo, NO_CAMERAS for neither. `fov`:
-        horizontal [degrees].
-        """
+        """`cameras`: a file, NO_CAMERAS, or None: beside photos; `fov`: horizontal [degrees]."""
         self.fov = fov
         self.looks = str(cameras) != NO_CAMERAS
         given = None if cameras is None or not self.looks else Path(cameras)
@@ -114,7 +108,8 @@ class IntrinsicsFinder:
                     mask=camera_file.folder / camera.mask if camera.mask else None,
                 )
         if self.fov is not None:
-            return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
+            lens = intrinsics_from_fov(math.radians(self.fov), size).double()
+            return Intrinsics(lens, f"--fov {self.fov:g}")
         if image.focal is not None:
             return Intrinsics(_from_focal(image.focal, size), image.focal_source)
         focal = 0.5 * max(size) / math.tan(math.radians(DEFAULT_FOV) / 2)
@@ -253,10 +248,6 @@ class _CameraFile:
 def _key(name: str) -> str:
     """Equal for two names that some system takes for one: by case, or how accents are written."""
     return unicodedata.normalize("NFC", name.rpartition("/")[2]).casefold()
-
-
-def _from_fov(fov: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:
-    return intrinsics_from_fov(math.radians(fov), size).double()
 
 
 def _from_focal(focal: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:

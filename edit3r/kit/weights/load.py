@@ -104,18 +104,6 @@ def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
             raise loading_error(error, cls, weights) from error
 
 
-def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
-    """A network by `load_pretrained`, refused where the files lack weights of it."""
-    network, report = load_pretrained(cls, weights, output_loading_info=True, **given)
-    lacking = sorted(report["missing_keys"] or report["mismatched_keys"])
-    if lacking:
-        raise InputError(
-            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, "
-            f"such as {lacking[0]}; with random ones in their place its answers would mean nothing."
-        )
-    return network
-
-
 def require_at_hand(weights: ChosenWeights) -> None:
     """Raise MissingDependencyError for declared weights that are not here, with the way to them."""
     if declared := _declared(weights):

@@ -78,7 +78,7 @@ def select_with(
     matcher: Matcher | None,
 ) -> Selecting:
     """The same with built parts, by the cache of the current run."""
-    views = photos if isinstance(photos, Views) else _loaded(photos)
+    views = photos if isinstance(photos, Views) else load_photos(photos).views
     _check_masks(views, selection)
     geometry = None if matcher is None else geometry_of(matcher, views)
     scenes = [
@@ -152,7 +152,3 @@ def _ready(choice: Any, cache: Cache) -> Segmenter:
     if _built.get(cache, ("",))[0] != key:
         _built[cache] = key, registry.build_choice("segmenter", choice)
     return _built[cache][1]
-
-
-def _loaded(files: Pictures) -> Views:
-    return load_photos(files).views

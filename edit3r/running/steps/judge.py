@@ -24,6 +24,7 @@ from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.paths import half_way
+from edit3r.kit.photos.images import evenly
 from edit3r.kit.rendering import render_each
 from edit3r.running.components import Components
 from edit3r.running.editors import edit_to_judge
@@ -135,9 +136,7 @@ def _from_photos(
     size: tuple[int, int],
     rasterizer: Rasterizer,
 ) -> tuple[Rendering, Rendering]:
-    """The scene before any refiner, no larger than critics look, and the final one; drawn once
-    where they are the same.
-    """
+    """The scene before any refiner, at the critics' size, and the final one."""
     before, text = reconstructed.reconstruction.gaussians, "render input views"
     cameras = reconstructed.cameras.at(size)
     drawn = [(gaussians, cameras)]
@@ -218,12 +217,9 @@ def seen_half_way(
     photos: Views | None = None,
     most: int | None = None,
 ) -> HalfWay:
-    """One scene (batch 1) from half-way between each of its `photos` and the nearest one; of more
-    than `most` such places, evenly chosen ones.
-    """
+    """One scene (batch 1) from half-way between neighbours; evenly chosen ones above `most`."""
     between, pairs = half_way(cameras.at(_small(cameras.image_size)))
-    if most is not None and len(pairs) > most:
-        chosen = torch.linspace(0, len(pairs) - 1, most).round().long().tolist()
-        between, pairs = between.select(chosen), tuple(pairs[one] for one in chosen)
+    chosen = evenly(range(len(pairs)), most)
+    between, pairs = between.select(chosen), tuple(pairs[one] for one in chosen)
     rendered = render_each(rasterizer, gaussians, between, "look between the photos")
     return HalfWay(rendered, between, pairs, photos)

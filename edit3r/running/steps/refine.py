@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from edit3r.contract.component import component_name
-from edit3r.contract.interfaces import ComparesWithBefore, RefineInputs, Refiner
+from edit3r.contract.interfaces import ComparesWithBefore, RefineInputs
 from edit3r.contract.reporting import say, stage
 from edit3r.contract.types import Gaussians, Views
 from edit3r.kit import asking
@@ -51,15 +51,11 @@ def refine(
         compares = isinstance(refiner, ComparesWithBefore)
         if compares and inputs.before is None:
             continue
-        gaussians = _refined(refiner, gaussians, inputs)
+        with stage(component_name(refiner)):
+            gaussians = asking.refine(refiner, gaussians, inputs)
         if compares and not again:
             inputs = replace(inputs, before=None)
     return gaussians
-
-
-def _refined(refiner: Refiner, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
-    with stage(component_name(refiner)):
-        return asking.refine(refiner, gaussians, inputs)
 
 
 def _as_fused(edited: Views, reconstructed: Reconstructed) -> Views:

@@ -23,6 +23,7 @@ from edit3r.contract.reporting import Report, collecting, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit import asking
 from edit3r.kit.geometry.maps import dilate_softly
+from edit3r.kit.photos.images import evenly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
 from edit3r.running.hiding import covering, without_candidates
@@ -93,25 +94,19 @@ def require_answer(
             shown = inputs
             if components.hiding:
                 shown = without_candidates(inputs, selection)
+            things = tuple(replace(one, taken=0) for one in selection.selected)
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
                 f"of {confidence:.0%}, so nothing was edited. Take one ({flags}), {ASK}, "
                 "or fetch a detector that knows most words (edit3r weights get words); --guess "
                 f"takes the likeliest.{hints}",
                 thing.candidates,
-                Preview(shown, _none_taken(selection), None),
+                Preview(shown, replace(selection, selected=things), None),
             )
 
 
-def _none_taken(selection: SelectedRegions) -> SelectedRegions:
-    things = tuple(replace(one, taken=0) for one in selection.selected)
-    return replace(selection, selected=things)
-
-
 def load(inputs: Inputs, components: Components) -> Inputs:
-    """Move the inputs to the run's device. Raises InputError for fewer photos than the
-    reconstructor needs.
-    """
+    """The inputs on the run's device. Raises InputError for too few photos."""
     with stage("load components"):
         _require_enough(inputs.start, components.reconstructor)
         return inputs.to(components.config.device)
@@ -122,7 +117,7 @@ def as_many_as_fit(views: Views, reconstructor: Reconstructor) -> list[int]:
     count, most = views.count, reconstructor.max_views
     if most is None or count <= most:
         return list(range(count))
-    chosen = torch.linspace(0, count - 1, most).round().long().tolist()
+    chosen = evenly(range(count), most)
     name = component_name(reconstructor)
     warn(f"{name} takes at most {most} views; of {count} these are used: {chosen}.")
     return chosen
@@ -207,9 +202,7 @@ def _regions(
 def _widened(
     selection: SelectedRegions, inputs: Inputs, components: Components
 ) -> SelectedRegions:
-    """The selection with what editors have to change around the things, such as shadows, and
-    what has to be hidden around them.
-    """
+    """The selection with what editors have to change or hide around the things."""
     if selection.regions is None:
         return selection
     of_tasks = selection.regions.split(

@@ -5,15 +5,10 @@ import torch
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras
+from edit3r_testing.scenes import balls
 
-SCENE = Gaussians(
-    torch.tensor([[[0.0, 0, 4]]]),
-    torch.full((1, 1, 3), 0.2),
-    torch.tensor([[[1.0, 0, 0, 0]]]),
-    torch.full((1, 1), 0.8),
-    torch.full((1, 1, 1, 3), 0.1),
-)
+SCENE = balls(torch.tensor([[[0.0, 0, 4]]]), size=0.2)
 
 
 def cameras(*changes):

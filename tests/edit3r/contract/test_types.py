@@ -5,18 +5,12 @@ import torch
 
 import edit3r
 from edit3r.contract.types import Cameras, EditRequest, Features, Gaussians, Views
+from edit3r_testing.scenes import balls, gaussian_cloud
 
 
-def gaussians(view_index=None, count=6, coefficients=4, batch=2):
-    generator = torch.Generator().manual_seed(0)
-    return Gaussians(
-        means=torch.randn(batch, count, 3, generator=generator),
-        scales=torch.rand(batch, count, 3, generator=generator),
-        quats=torch.randn(batch, count, 4, generator=generator),
-        opacities=torch.rand(batch, count, generator=generator),
-        harmonics=torch.randn(batch, count, coefficients, 3, generator=generator),
-        view_index=view_index,
-    )
+def gaussians(view_index=None, count=6, batch=2):
+    cloud = gaussian_cloud(count, batch)
+    return cloud if view_index is None else replace(cloud, view_index=view_index)
 
 
 def test_public_names_are_the_core_types():
@@ -41,7 +35,7 @@ def test_a_wrong_shape_is_an_error_that_names_field_expected_and_given():
     with pytest.raises(ValueError, match=r"Cameras\.image_size"):
         Cameras(torch.zeros(1, 1, 4, 4), torch.zeros(1, 1, 3, 3), (0, 4))
     with pytest.raises(ValueError, match="harmonics: expected K in"):
-        gaussians(coefficients=5)
+        replace(gaussians(), harmonics=torch.zeros(2, 6, 5, 3))
     with pytest.raises(ValueError, match=r"Features\.levels"):
         Features((torch.zeros(1, 2, 5, 8),), grid=(2, 3))
     with pytest.raises(ValueError, match=r"EditRequest\.masks"):
@@ -167,15 +161,7 @@ def test_views_and_cameras_of_another_size_show_the_same():
 
 
 def test_a_smaller_scene_of_a_batch_repeats_its_last_gaussian_transparently():
-    def of(count):
-        return Gaussians(
-            torch.rand(1, count, 3),
-            torch.ones(1, count, 3),
-            torch.ones(1, count, 4),
-            torch.full((1, count), 0.5),
-            torch.zeros(1, count, 1, 3),
-        )
-
-    both = Gaussians.stack([of(2), of(4)])
+    few, more = (balls(torch.rand(1, n, 3), opacity=0.5) for n in (2, 4))
+    both = Gaussians.stack([few, more])
     assert both.opacities.tolist() == [[0.5, 0.5, 0, 0], [0.5] * 4]
     assert torch.equal(both.means[0, 2], both.means[0, 1])

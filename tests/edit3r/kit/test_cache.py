@@ -13,9 +13,10 @@ from safetensors.torch import save
 import edit3r
 from edit3r import Settings
 from edit3r.contract.interfaces import Geometry, Proposal, Tracks
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import Cache, fingerprint, identity, remembered, using
 from edit3r_testing import second_device
+from edit3r_testing.scenes import gaussian_cloud
 
 
 class Doubling:
@@ -97,13 +98,7 @@ def test_names_of_views_change_no_fingerprint_and_pixels_do():
 
 
 MAPS = torch.rand(1, 2, 3, 3)
-GAUSSIANS = Gaussians(
-    torch.rand(1, 5, 3),
-    torch.rand(1, 5, 3),
-    torch.rand(1, 5, 4),
-    torch.rand(1, 5),
-    torch.rand(1, 5, 1, 3),
-)
+GAUSSIANS = gaussian_cloud(5)
 ANSWERS = {
     "geometry": Geometry(torch.rand(1, 2, 4, 4), MAPS, MAPS, torch.ones(1, 2) > 0),
     "proposals": (Proposal(torch.rand(3, 3), 0.5),),

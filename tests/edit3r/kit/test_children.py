@@ -7,14 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 import edit3r
-from edit3r.contract.types import Gaussians
 from edit3r.kit.children import PYTHON
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import Workers, run_resumable
+from edit3r_testing.scenes import gaussian_cloud
 
 ROOT = Path(edit3r.__file__).parents[1]
 TRAPS = ("multiprocessing", "pip", "gaussforge", "yaml", "numba", "torch", "numpy")
@@ -41,16 +40,7 @@ def trapped(tmp_path, monkeypatch):
 
 
 def scene(folder):
-    points = torch.rand(1, 8, 3)
-    quats = torch.nn.functional.normalize(torch.rand(1, 8, 4), dim=-1)
-    gaussians = Gaussians(
-        means=points,
-        quats=quats,
-        scales=points / 9 + 0.01,
-        opacities=points[..., 0] * 0.5 + 0.4,
-        harmonics=torch.rand(1, 8, 1, 3),
-    )
-    save_ply(folder / "scene.ply", gaussians)
+    save_ply(folder / "scene.ply", gaussian_cloud(8))
     return ["export", "scene.ply", "--to", "spz"]
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
-from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.contract.types import Cameras, Rendering, Views
 from edit3r.running.before import colours_before
+from edit3r_testing.scenes import balls
 
 
 def test_colours_before_are_those_of_the_unedited_photos():
@@ -22,14 +22,7 @@ def test_colours_before_are_those_of_the_unedited_photos():
     count = means.shape[1]
     photos, edited = torch.rand(1, 1, 3, 30, 40), torch.rand(1, 1, 3, 30, 40)
     colours = torch.cat((edited[0, 0].flatten(1).T, 1 - edited[0, 0, :, :1, 0].T))[None]
-    quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
-    made = Gaussians(
-        means,
-        torch.ones(1, count, 3),
-        quats,
-        torch.ones(1, count),
-        colour_to_dc(colours)[:, :, None],
-    )
+    made = balls(means, colours)
     lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]])[None, None]
     one = Cameras(torch.eye(4)[None, None], lens, (300, 400))
     rendered = Rendering(
@@ -50,13 +43,7 @@ def before_of_one(photos, edited, grey):
     """Colour before an edit of one Gaussian of no view, that is grey now and seen by two photos."""
     lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
     cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), lens, (30, 40))
-    scene = Gaussians(
-        torch.tensor([[[0.0, 0, 2]]]),
-        torch.ones(1, 1, 3),
-        torch.ones(1, 1, 4),
-        torch.ones(1, 1),
-        colour_to_dc(torch.full((1, 1, 1, 3), grey)),
-    )
+    scene = balls(torch.tensor([[[0.0, 0, 2]]]), grey)
     depths = torch.full((1, 2, 1, 30, 40), 2.0)
     rendered = Rendering(edited, torch.ones_like(depths), depths)
     views = [Views(images, lens) for images in (photos, edited)]
@@ -79,13 +66,7 @@ def test_a_rim_of_both_colours_takes_that_of_the_photo_and_what_is_hidden_none()
     edited[..., :20] = 1.0
     depths = torch.full((1, 1, 1, 30, 40), 2.0)
     means = torch.tensor([[[-0.8, 0.0, 2], [0.8, 0, 2], [-1.6, 0, 4]]])
-    scene = Gaussians(
-        means,
-        torch.ones(1, 3, 3),
-        torch.ones(1, 3, 4),
-        torch.ones(1, 3),
-        colour_to_dc(torch.full((1, 3, 1, 3), 0.6)),
-    )
+    scene = balls(means, 0.6)
     rendered = Rendering(edited, torch.ones_like(depths), depths)
     views = [Views(images, lens) for images in (photos, edited)]
     found = colours_before(scene, cameras, *views, rendered)

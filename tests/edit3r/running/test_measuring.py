@@ -17,7 +17,7 @@ import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Geometry
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.types import Cameras, Reconstruction, Rendering, Views
 from edit3r.kit.geometry.cameras import pixel_rays
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.config import make_run_config
@@ -27,6 +27,7 @@ from edit3r.running.records import Inputs
 from edit3r.running.run_folder import RunFolder
 from edit3r.running.steps.read import read
 from edit3r.running.unit import GIVEN, Unit
+from edit3r_testing.scenes import gaussian_cloud
 
 # of the packaged pair, Middlebury 2014: https://vision.middlebury.edu/stereo/data/scenes2014
 BASELINE, FOCAL, CENTRE, OFFSET = 0.193001, 994.978, (311.193, 254.877), 31.086
@@ -160,40 +161,39 @@ def knowing(given=None, **told):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("flag", "text", "told"),
     [
-        ("1:10,10,1:50,10", "expected [N:]X,Y,[N:]X,Y=LENGTH"),
-        ("1:10,10=2m", "expected [N:]X,Y,[N:]X,Y=LENGTH"),
-        ("1:10,10,1:50,10=2", "got the unit '', expected one of m, cm, mm, ft, in"),
-        ("1:10,10,1:50,10=2 miles", "got the unit 'miles'"),
-        ("1:10,10,1:50,10=0m", "a length must be a number above 0"),
-        ("1:10,10,1:50,10=1.2.3m", "a length must be a number above 0"),
-        ("1:10,10,1:10,10=2m", "both places are the same"),
-        ("1:10,10,1:70,10=2m", "lies outside of what is used of photo 1"),
-        ("1:10,10,3:50,10=2m", "on photo N (1 to 2)"),
+        *(
+            ("measure", *one)
+            for one in (
+                ("1:10,10,1:50,10", "expected [N:]X,Y,[N:]X,Y=LENGTH"),
+                ("1:10,10=2m", "expected [N:]X,Y,[N:]X,Y=LENGTH"),
+                ("1:10,10,1:50,10=2", "the unit '', expected one of m, cm, mm, ft, in"),
+                ("1:10,10,1:50,10=2 miles", "got the unit 'miles'"),
+                ("1:10,10,1:50,10=0m", "a length must be a number above 0"),
+                ("1:10,10,1:50,10=1.2.3m", "a length must be a number above 0"),
+                ("1:10,10,1:10,10=2m", "both places are the same"),
+                ("1:10,10,1:70,10=2m", "lies outside of what is used of photo 1"),
+                ("1:10,10,3:50,10=2m", "on photo N (1 to 2)"),
+            )
+        ),
+        *(
+            ("up", *one)
+            for one in (
+                ("+z", "no axes; expected found (as they were held), or [N:]X,Y"),
+                ("1:10,10,1:50,10", "expected found (as they were held), or [N:]X,Y"),
+                ("1:10,10,1:30,10.2,1:50,10", "the three places lie on one line"),
+                ("1:10,10,1:10,10,1:50,30", "the three places lie on one line"),
+                ("1:10,10,1:50,10,1:30,50", "outside of what is used of photo 1"),
+                ("1:10,10,3:50,10,1:30,30", "on photo N (1 to 2)"),
+            )
+        ),
     ],
 )
-def test_what_tells_no_length_is_one_sentence_before_work(text, told):
+def test_what_tells_no_length_or_plane_is_one_sentence_before_work(flag, text, told):
     with pytest.raises(InputError) as caught:
-        knowing(measure=text)
-    assert told in str(caught.value) and str(caught.value).startswith("--measure ")
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("+z", "photos have no axes; expected found (as they were held), or [N:]X,Y"),
-        ("1:10,10,1:50,10", "expected found (as they were held), or [N:]X,Y"),
-        ("1:10,10,1:30,10.2,1:50,10", "the three places lie on one line"),
-        ("1:10,10,1:10,10,1:50,30", "the three places lie on one line"),
-        ("1:10,10,1:50,10,1:30,50", "lies outside of what is used of photo 1"),
-        ("1:10,10,3:50,10,1:30,30", "on photo N (1 to 2)"),
-    ],
-)
-def test_what_tells_no_plane_is_one_sentence_before_work(text, told):
-    with pytest.raises(InputError) as caught:
-        knowing(up=text)
-    assert told in str(caught.value) and str(caught.value).startswith("--up ")
+        knowing(**{flag: text})
+    assert told in str(caught.value) and str(caught.value).startswith(f"--{flag} ")
 
 
 @pytest.mark.parametrize(
@@ -335,14 +335,8 @@ def test_what_goes_on_from_a_run_begins_in_its_own_frame_and_unit():
     c2w[0, 1, :3, 3] = torch.tensor([1.0, 2, 3])
     photos = inputs().photos
     cameras = Cameras(c2w, photos.intrinsics, photos.image_size)
-    points = torch.randn(1, 5, 3)
-    gaussians = Gaussians(
-        points,
-        torch.rand(1, 5, 3) + 0.1,
-        torch.nn.functional.normalize(torch.randn(1, 5, 4), dim=-1),
-        torch.rand(1, 5),
-        torch.randn(1, 5, 4, 3),
-    )
+    gaussians = gaussian_cloud(5)
+    points = gaussians.means
     # in float32, no turn and its back are exactly the identity
     made, up = Reconstruction(gaussians, cameras), (0.26, -0.82, -0.5099)
     written = GIVEN.times(3.0).upright(up).reconstruction(made)

@@ -26,8 +26,8 @@ from edit3r.contract.interfaces import (
     Tracks,
 )
 from edit3r.contract.reporting import Report, warn
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.contract.types import Cameras, Reconstruction, Views
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.photos.images import save_image
 from edit3r.running import result as result_module
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
@@ -55,31 +55,12 @@ class Wall(Reconstructor):
 
     def __call__(self, views, source=None, geometry=None, grid=None):
         warn("the wall is flat")
-        height, width = views.image_size
-        ys, xs = torch.meshgrid(
-            (torch.arange(height) + 0.5) / height,
-            (torch.arange(width) + 0.5) / width,
-            indexing="ij",
-        )
-        plane = (
-            torch.stack((xs - 0.5, ys - 0.5, torch.ones_like(xs)), -1)
-            .flatten(0, 1)
-            .repeat(views.count, 1)[None]
-        )
-        colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
-        count = colours.shape[1]
-        gaussians = Gaussians(
-            plane,
-            torch.full((1, count, 3), 0.5 / width),
-            torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
-            torch.full((1, count), 0.9),
-            colour_to_dc(colours)[:, :, None],
-            torch.arange(views.count).repeat_interleave(count // views.count),
-        )
+        ones = torch.ones_like(views.images[:, :, 0])
         pose = torch.eye(4).expand(1, views.count, 4, 4)
-        return Reconstruction(
-            gaussians, Cameras(pose, views.intrinsics, views.image_size)
-        )
+        cameras = Cameras(pose, views.intrinsics, views.image_size)
+        scales = pixel_scales(ones, views.intrinsics, 0.5)
+        made = pixels_to_gaussians(views.images, ones, cameras, scales, 0.9 * ones)
+        return Reconstruction(made, cameras)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@ import dataclasses
 
 import pytest
 import torch
+from edit3r_geometry.reconstructor import seen_by_others
 from edit3r_measure.novel_view import best_blurred_copy
 
 import edit3r
@@ -12,7 +13,7 @@ from edit3r.kit.compute.metrics import psnr
 from edit3r.kit.geometry.background_fill import background_layer
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
-from edit3r.kit.geometry.warping import contradicted, seen_by_others
+from edit3r.kit.geometry.warping import contradicted
 from edit3r.kit.reconstructing import WithMatcher
 
 

@@ -9,7 +9,7 @@ from edit3r_in_place.colours import bounded, shine_of
 import edit3r
 from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.types import EditRequest, Gaussians, Views
-from edit3r.kit.checks import check_geometry, check_reconstruction
+from edit3r.kit import asking
 from edit3r.kit.rendering import OverBackground
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
 from edit3r_testing import ReconstructorContract
@@ -76,7 +76,7 @@ def test_a_painted_thing_has_the_paint_and_all_else_looks_as_it_did(rasterizer, 
     scene = seen(scan(degree), rasterizer)
     views = painted(scene, red_pixels(scene))
     made = in_place(scene)(views)
-    check_reconstruction(in_place(scene), views, made)
+    asking.reconstruct(in_place(scene), views, lambda: made)
     shown = OverBackground(rasterizer, scene.background)
     ball = made.gaussians.harmonics[0, of_ball(made.gaussians, 0), 0]
     blue = (BLUE.flatten() - 0.5) / 0.28209479
@@ -181,8 +181,7 @@ def test_one_thing_is_painted_and_another_removed_by_one_sentence(rasterizer):
 def test_its_geometry_is_the_scenes_whatever_the_pictures_show(rasterizer):
     scene = seen(scan(), rasterizer, count=3)
     views = Views(torch.rand_like(scene.images), scene.cameras.intrinsics)
-    geometry = in_place(scene).find_geometry(views)
-    check_geometry(in_place(scene), views, geometry)
+    geometry = asking.find_geometry(in_place(scene), views)
     solid = scene.alphas > 0.5
     assert torch.equal(geometry.depths[solid], scene.depths[solid])
     assert torch.equal(geometry.confidence, solid.float())

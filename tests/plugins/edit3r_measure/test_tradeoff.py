@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 import yaml
-from edit3r_measure import tradeoff_measure
+from edit3r_measure import tradeoff_measure, tradeoff_points
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 from edit3r_measure.tradeoff import read_plan
 from edit3r_measure.tradeoff_measure import (
@@ -15,19 +15,21 @@ from edit3r_measure.tradeoff_measure import (
     report,
     summarize,
 )
+from edit3r_measure.tradeoff_points import Expected, MeasuredPoint, Quality
 from hypothesis import given, strategies as st
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.kit.command.results import alone_in
 from edit3r.kit.compute.lpips import lpips_weights
+from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.workers import read_rows
 from edit3r.loading.registry import default_registry
-from edit3r.running import quality
 from edit3r.running.config import PART_KEYS, RunConfig, make_run_config
-from edit3r.running.quality import PRESETS, Expected, MeasuredPoint, read_quality
+from edit3r.running.quality import PRESETS, SHIPPED as FILE
 
-SHIPPED = read_quality().points
+QUALITY = Quality.model_validate(read_yaml(FILE))
+SHIPPED = QUALITY.points
 
 
 def check_run_settings(settings):
@@ -151,7 +153,7 @@ def test_all_scenes_of_a_place_are_measured(tmp_path, monkeypatch):
 def test_the_command_measures_runs_and_says_which_failed(
     tmp_path, capsys, forked_workers, monkeypatch
 ):
-    monkeypatch.setattr(quality, "SHIPPED", tmp_path / "never.yaml")
+    monkeypatch.setattr(tradeoff_points, "SHIPPED", tmp_path / "never.yaml")
     (tmp_path / "plan.yaml").write_text(PLAN)
     out = tmp_path / "out"
     command = f"tradeoff --plan {tmp_path}/plan.yaml --scenes 1 --repeats 1 --threads 1"
@@ -287,6 +289,11 @@ def test_the_best_preset_shows_what_large_photos_have_and_the_default_was_measur
     keys = ("size", "refine", "grid", "gaussians")
     default = [getattr(RunConfig(), key) for key in keys]
     assert default in [[point.settings.get(key) for key in keys] for point in SHIPPED]
+
+
+def test_what_is_written_is_read_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(tradeoff_points, "SHIPPED", tmp_path / "again.yaml")
+    assert Quality.model_validate(read_yaml(QUALITY.write())) == QUALITY
 
 
 def test_every_shipped_point_can_be_run():

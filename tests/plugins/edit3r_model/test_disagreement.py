@@ -4,11 +4,11 @@ import pytest
 import torch
 import torch.nn.functional as F
 from edit3r_model.colour_function import change_of, fit_colour_maps
+from edit3r_model.correspondences import Correspondences
 from edit3r_model.disagreement import edits_conflict, edits_disagree
 from edit3r_model.edited_views import EditedViews, find_exposure
 
 from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r.kit.geometry.warping import Correspondences
 
 torch.manual_seed(0)
 PHOTOS = torch.rand(2, 3, 16, 16)

@@ -1,13 +1,13 @@
 import pytest
 import torch
 import torch.nn.functional as F
+from edit3r_model.correspondences import Correspondences
 from edit3r_model.edit_fusion import EditTransport
 from edit3r_model.edited_views import EditedViews
 from edit3r_model.small_backbone import convex_upsample
 from edit3r_model.small_head import Choices, fuse_colours
 
 from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r.kit.geometry.warping import Correspondences
 
 ROWS, COLUMNS, WIDTH = 6, 8, 16
 GRID = (2, WIDTH, ROWS, COLUMNS)

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import skimage.data
 import torch
+from edit3r_recolor.oklab import rgb_to_oklab
 from edit3r_recolor.paint import own_paint, paint
 from hypothesis import given, settings, strategies as st
 
 import edit3r
-from edit3r.kit.compute.colour import rgb_to_oklab
 from edit3r.kit.compute.colour_names import BASIC_COLOURS, read_colour
 from edit3r.kit.photos.images import packaged_pair
 

@@ -4,7 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_refiners.keep_outside_mask import FIELDS, differing, insert_edit
+from edit3r_refiners.keep_outside_mask import (
+    FIELDS,
+    differing,
+    insert_edit,
+    median_scale,
+)
 
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.paths import between_and_around
@@ -142,3 +147,9 @@ def test_what_shows_in_no_photo_takes_the_edit(rasterizer, edit, same):
     assert not rows_of(hidden[2]) & rows_of(hidden[0])
     assert rows_of(hidden[2]) == rows_of(hidden[1])
     assert largest_change(rasterizer, old, result, cameras, ~region) <= SAME
+
+
+def test_the_scale_between_two_units_is_that_of_the_points():
+    points = torch.randn(5, 3, generator=torch.Generator().manual_seed(0))
+    assert torch.isclose(median_scale(points, 0.5 * points), torch.tensor(0.5))
+    assert median_scale(points[:0], points[:0]) == 1

@@ -1,11 +1,13 @@
 """Poses from Gaussians: known cameras are found again, bad input is named."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.types import Gaussians, Views
-from edit3r.kit.geometry.cameras import intrinsics_from_fov, unproject
+from edit3r.contract.types import Cameras, Views
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixels_to_gaussians
 from edit3r.kit.geometry.pose import estimate_cameras, pixel_layout
 from edit3r.kit.geometry.rotations import cross_matrix, rotation_angle
 
@@ -32,17 +34,9 @@ def scene():
         noise, SIZE, mode="bicubic", align_corners=True
     ).clamp(0, 1)[None]
     depths = 2 + torch.rand(1, 2, *SIZE, generator=generator)
-    count = 2 * SIZE[0] * SIZE[1]
-    gaussians = Gaussians(
-        means=unproject(depths, intrinsics, c2w).flatten(1, 3),
-        scales=torch.full((1, count, 3), 0.03),
-        quats=torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
-        opacities=torch.full((1, count), 0.9),
-        harmonics=((images.movedim(2, -1).flatten(1, 3) - 0.5) / 0.28209479)[
-            :, :, None
-        ],
-        view_index=torch.arange(2).repeat_interleave(count // 2),
-    )
+    sizes = torch.full_like(depths, 0.03), torch.full_like(depths, 0.9)
+    cameras = Cameras(c2w, intrinsics, SIZE)
+    gaussians = pixels_to_gaussians(images, depths, cameras, *sizes)
     return gaussians, Views(images, intrinsics), c2w
 
 
@@ -68,15 +62,7 @@ def test_a_third_of_wrong_centres_does_not_move_the_camera(scene):
     means[:, ::3] += torch.randn(
         means[:, ::3].shape, generator=torch.Generator().manual_seed(1)
     )
-    spoilt = Gaussians(
-        means,
-        gaussians.scales,
-        gaussians.quats,
-        gaussians.opacities,
-        gaussians.harmonics,
-        gaussians.view_index,
-    )
-    found = estimate_cameras(spoilt, views).c2w
+    found = estimate_cameras(replace(gaussians, means=means), views).c2w
     assert rotation_angle(found[0, 1, :3, :3], c2w[0, 1, :3, :3]) < 0.01
     torch.testing.assert_close(found[0, 1, :3, 3], c2w[0, 1, :3, 3], atol=0.03, rtol=0)
 
@@ -86,14 +72,7 @@ def test_faint_gaussians_do_not_vote(scene):
     means, opacities = gaussians.means.clone(), gaussians.opacities.clone()
     means[:, ::2] += 5
     opacities[:, ::2] = 0.1
-    spoilt = Gaussians(
-        means,
-        gaussians.scales,
-        gaussians.quats,
-        opacities,
-        gaussians.harmonics,
-        gaussians.view_index,
-    )
+    spoilt = replace(gaussians, means=means, opacities=opacities)
     torch.testing.assert_close(
         estimate_cameras(spoilt, views).c2w, c2w, atol=1e-4, rtol=0
     )
@@ -101,14 +80,7 @@ def test_faint_gaussians_do_not_vote(scene):
 
 def test_scenes_of_any_unit_are_placed(scene):
     gaussians, views, c2w = scene
-    large = Gaussians(
-        gaussians.means * 1e5,
-        gaussians.scales,
-        gaussians.quats,
-        gaussians.opacities,
-        gaussians.harmonics,
-        gaussians.view_index,
-    )
+    large = replace(gaussians, means=gaussians.means * 1e5)
     found = estimate_cameras(large, views).c2w
     torch.testing.assert_close(
         found[0, 1, :3, 3] / 1e5, c2w[0, 1, :3, 3], atol=1e-4, rtol=0
@@ -145,14 +117,7 @@ def test_the_grid_follows_the_pictures_shape(count, image_size, expected):
 
 def test_invisible_gaussians_are_an_error_that_names_the_view(scene):
     gaussians, views, _ = scene
-    faint = Gaussians(
-        gaussians.means,
-        gaussians.scales,
-        gaussians.quats,
-        gaussians.opacities * 0,
-        gaussians.harmonics,
-        gaussians.view_index,
-    )
+    faint = replace(gaussians, opacities=gaussians.opacities * 0)
     with pytest.raises(MatchingError, match=r"right\.jpg cannot be placed"):
         estimate_cameras(
             faint, Views(views.images, views.intrinsics, ("left.jpg", "right.jpg"))

@@ -149,18 +149,14 @@ def test_an_angle_alone_takes_the_size_of_the_photo(tmp_path):
     assert_known(loaded(files)[0], cx=WIDTH / 2)
 
 
-def test_smaller_copies_of_the_photos_have_their_cameras(tmp_path):
+def test_smaller_copies_of_the_photos_have_their_cameras_and_another_scene_has_none(
+    tmp_path,
+):
     photos(tmp_path / "images")
-    files = photos(tmp_path / "images_2")
+    copies, others = photos(tmp_path / "images_2"), photos(tmp_path / "other")
     (tmp_path / "transforms.json").write_text(json.dumps(DIALECTS["plain"]))
-    assert_known(loaded(files)[0])
-
-
-def test_photos_of_another_scene_get_no_cameras_by_their_names(tmp_path):
-    photos(tmp_path / "images")
-    files = photos(tmp_path / "other")
-    (tmp_path / "transforms.json").write_text(json.dumps(DIALECTS["plain"]))
-    assert loaded(files)[0].c2w is None
+    assert_known(loaded(copies)[0])
+    assert loaded(others)[0].c2w is None
 
 
 @pytest.mark.parametrize(

@@ -175,36 +175,31 @@ def test_poses_that_are_none_name_file_and_camera(tmp_path, c2w, expected):
         read_cameras(tmp_path / "c.json")
 
 
+NAMES = (".", "", "..", "a\0b", None, 3, "x" * 5000)
+SIZES = ("4", 1.5, 0, 10**9, 1e400, None, [4])
+NUMBERS = [
+    ([[4, 0, 2], [0, 4, 2], [0, 0, 5]], ".*K has other numbers"),
+    ([[4, 0, 2], [9, 4, 2], [0, 0, 1]], ".*K has other numbers"),
+    ([[4, 0, 2], [0, 4, 2], [3, 1, 1]], ".*K has other numbers"),
+    ([[4, 0, 1e9], [0, 4, 2], [0, 0, 1]], ".*principal point of K is 1e"),
+    ([[4, 0, 2], [0, 1e9, 2], [0, 0, 1]], ".*focal lengths 4, 1e"),
+    ([[4, 0, 2], [0, 0, 2], [0, 0, 1]], ".*focal lengths 4, 0, expected above 0"),
+    ([[4, 0, 2], [0, 4], [0, 0, 1]], "cannot be used"),
+]
+
+
 @pytest.mark.parametrize(
-    ("row", "expected"),
+    ("changed", "expected"),
     [
-        ([[4, 0, 2], [0, 4, 2], [0, 0, 5]], "K has other numbers"),
-        ([[4, 0, 2], [9, 4, 2], [0, 0, 1]], "K has other numbers"),
-        ([[4, 0, 2], [0, 4, 2], [3, 1, 1]], "K has other numbers"),
-        ([[4, 0, 1e9], [0, 4, 2], [0, 0, 1]], "principal point of K is 1e"),
-        ([[4, 0, 2], [0, 1e9, 2], [0, 0, 1]], "focal lengths 4, 1e"),
-        ([[4, 0, 2], [0, 0, 2], [0, 0, 1]], "focal lengths 4, 0, expected above 0"),
-        ([[4, 0, 2], [0, 4], [0, 0, 1]], "cannot be used"),
+        *(({"file": name}, "cannot be used") for name in NAMES),
+        *(({"width": size}, "cannot be used") for size in SIZES),
+        *(({"K": row}, told) for row, told in NUMBERS),
     ],
 )
-def test_intrinsics_that_are_none_name_file_and_camera(tmp_path, row, expected):
-    (tmp_path / "c.json").write_text(
-        json.dumps([{"file": "a.png", "width": 4, "height": 3, "K": row}])
-    )
-    with pytest.raises(InputError, match=rf"c\.json: camera 0 .*{expected}"):
-        read_cameras(tmp_path / "c.json")
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [{"file": name} for name in (".", "", "..", "a\0b", None, 3, "x" * 5000)]
-    + [{"width": size} for size in ("4", 1.5, 0, 10**9, 1e400, None, [4])],
-)
-def test_cameras_without_a_name_or_size_are_refused(tmp_path, changed):
-    (tmp_path / "c.json").write_text(
-        json.dumps([{"file": "a.png", "width": 4, "height": 3, **changed}])
-    )
-    with pytest.raises(InputError, match=r"c\.json: camera 0 cannot be used"):
+def test_cameras_that_cannot_be_name_file_and_camera(tmp_path, changed, expected):
+    row = {"file": "a.png", "width": 4, "height": 3, **changed}
+    (tmp_path / "c.json").write_text(json.dumps([row]))
+    with pytest.raises(InputError, match=rf"c\.json: camera 0 {expected}"):
         read_cameras(tmp_path / "c.json")
 
 

@@ -9,10 +9,9 @@ from pydantic import Field
 from edit3r import Component, hookimpl
 from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Editor, Geometry, Matcher, Reconstructor
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import remembered
-from edit3r.kit.geometry.cameras import unproject
-from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r_testing.scenes import photograph
 
 EDIT3R_API = 1
@@ -80,26 +79,12 @@ class PlantedReconstructor(Reconstructor):
         self, views: Views, source: Views | None = None, geometry=None, grid=None
     ) -> Reconstruction:
         CALLS.append("reconstruct")
-        means = unproject(geometry.depths, views.intrinsics, geometry.c2w).reshape(
-            1, -1, 3
-        )
-        focal = views.intrinsics[0, 0, 0, 0] * views.image_size[1]
-        scales = (
-            (self.settings.footprint * geometry.depths / focal)
-            .reshape(1, -1, 1)
-            .expand(1, -1, 3)
-        )
-        gaussians = Gaussians(
-            means,
-            scales.contiguous(),
-            torch.tensor([1.0, 0, 0, 0]).repeat(1, means.shape[1], 1),
-            torch.full(means.shape[:2], 0.9),
-            colour_to_dc(views.images.permute(0, 1, 3, 4, 2).reshape(1, -1, 1, 3)),
-            torch.arange(views.count).repeat_interleave(SIZE[0] * SIZE[1]),
-        )
-        return Reconstruction(
-            gaussians, Cameras(geometry.c2w, views.intrinsics, views.image_size)
-        )
+        cameras = Cameras(geometry.c2w, views.intrinsics, views.image_size)
+        depths = geometry.depths
+        scales = pixel_scales(depths, views.intrinsics, self.settings.footprint)
+        opacities = torch.full_like(depths, 0.9)
+        made = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
+        return Reconstruction(made, cameras)
 
 
 class InvertedEditor(Editor):

@@ -8,25 +8,19 @@ import torch
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.reporting import Report, collecting
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction
+from edit3r.contract.types import Cameras, Reconstruction
 from edit3r.running.steps.reconstruct import (
     _after_edit,
     _masks_of_change,
     _only_placed,
 )
 from edit3r_testing import photograph
+from edit3r_testing.scenes import balls
 
 
 def test_gaussians_of_no_photo_stay_where_a_photo_has_no_place():
-    count = 4
-    gaussians = Gaussians(
-        torch.arange(3.0 * count).view(1, count, 3),
-        torch.ones(1, count, 3),
-        torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
-        torch.ones(1, count),
-        torch.zeros(1, count, 1, 3),
-        torch.tensor([0, 1, 2, -1]),
-    )
+    places = torch.arange(12.0).view(1, 4, 3)
+    gaussians = balls(places, view_index=torch.tensor([0, 1, 2, -1]))
     lens = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(1, 3, 3, 3)
     cameras = Cameras(torch.eye(4).expand(1, 3, 4, 4), lens, (8, 8))
     placed = torch.tensor([[True, False, True]])

@@ -1,6 +1,5 @@
 import torch
-
-from edit3r.kit.compute.layers import guided_upsample
+from edit3r_model.layers import guided_upsample
 
 
 def test_maps_at_the_guide_s_size_come_back_unchanged():

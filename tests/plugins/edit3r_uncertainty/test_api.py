@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_uncertainty.api import render_uncertainty
 
 from edit3r import Cameras, build
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.rendering import render_uncertainty
 
 CAMERA = Cameras(
     torch.eye(4)[None, None],

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from edit3r_outputs.placing import fitting, placed
 
 import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
-from edit3r.kit.scenes.placement import FilePlacement, fitting, placed, placed_back
+from edit3r.kit.scenes.placement import FilePlacement, placed_back
 from edit3r.kit.scenes.reading import load_scene
 
 SIZE = 0.06

@@ -1,8 +1,9 @@
 import pytest
 import torch
+from edit3r_model.layers import Conv2d, GroupNorm
 from torch import nn
 
-from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
+from edit3r.kit.compute.layers import bilinear
 
 THREADS = (1, 2, 4, 16)
 MAKERS = (
