@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jaxtyping import Float
-from pydantic import NonNegativeInt, TypeAdapter
+from pydantic import TypeAdapter
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -33,6 +33,7 @@ from edit3r.kit.files.names import expanded, is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
 from edit3r.running import RunFolder
+from edit3r_app.objects import ObjectAction
 
 PRIVATE = ".edit3r-app"
 DELETED = ".deleted"
@@ -58,16 +59,13 @@ class AppJob:
     parent: str = ""  # the run whose scene is edited again; "": from the photos
     # of the run, as a configuration file holds them
     settings: dict[str, Any] = field(default_factory=dict)
-    # what `edit3r objects` is asked for instead of an edit: an action, a name, values
-    object: tuple[str, ...] = ()
+    # what `edit3r objects` is asked for instead of an edit
+    object: ObjectAction | None = None
     drawn: bool = False  # whether that is about what is drawn over the scene
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     sentence: str = ""  # why it failed
-    # of the child process that nobody has seen end; 0: there is none
-    pid: NonNegativeInt = 0
-    began: int = 0  # when that process did [clock ticks since the machine did]
     made: float = 0.0  # when it was asked for [seconds since 1970]
 
     @property
@@ -292,6 +290,12 @@ def manifest_of(run: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
+def objects_of(folder: JobsFolder, run: str) -> list[str]:
+    """Names of a run's objects; none of what is no run, or says nothing that can be read."""
+    found = manifest_of(folder.root / run).get("objects")
+    return [str(name) for name in found] if isinstance(found, dict) else []
+
+
 def _unless_changed(read: Any, file: Path) -> Any:
     """What one of the two functions below reads from a file, once for each time of change and size.
 
@@ -308,7 +312,7 @@ def _unless_changed(read: Any, file: Path) -> Any:
 
 @lru_cache(maxsize=4096)
 def _record_in(file: Path, changed: int, size: int) -> AppJob | None:
-    with suppress(ValueError):
+    with suppress(ValueError, InputError):
         return _JOB.validate_json(file.read_bytes())
     return None
 

@@ -18,9 +18,16 @@ from edit3r_app.downloads import VIEWER, has_edits, offered_files
 from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
-from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
+from edit3r_app.jobs import (
+    PREVIEW,
+    AppJob,
+    JobsFolder,
+    manifest_of,
+    objects_of,
+    tree,
+)
 from edit3r_app.made_scenes import open_made
-from edit3r_app.objects import DRAWN, MARKED, objects_of, read_action
+from edit3r_app.objects import DRAWN, MARKED, read_action
 from edit3r_app.preview_service import DraftAnswer, PreviewService
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
@@ -305,7 +312,7 @@ class Studio:
             scene=scene,
             parent=state,
             settings={"prompt": action.in_words},
-            object=action.call,
+            object=action,
         )
         marked = () if masks is None else masks
         return self.folder.new_job(job, marked, drawn=drawn).name

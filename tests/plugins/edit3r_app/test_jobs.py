@@ -13,7 +13,7 @@ from PIL import Image
 
 from edit3r.contract.errors import InputError
 
-DAMAGED_PID = '{"name": "bear-1", "scene": "bear", "state": "running", "pid": "x"}'
+DAMAGED = '{"name": "bear-1", "scene": "bear", "state": "running", "masks": "x"}'
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_a_damaged_run_json_breaks_no_listing(folder, content):
         "[]",
         '{"name": 5}',
         '{"name": "../../x", "scene": "y", "state": "odd"}',
-        DAMAGED_PID,
+        DAMAGED,
     ],
 )
 def test_a_damaged_record_is_passed_over(folder, content):
