@@ -50,6 +50,9 @@ No figure kept.
 """
 
 
+State = Literal["queued", "running", "done", "failed", "cancelled"]
+
+
 @dataclass(frozen=True)
 class AppJob:
     """One edit that was asked for: what `edit3r run` is called with, and what came of it."""
@@ -64,7 +67,7 @@ class AppJob:
     drawn: bool = False  # whether that is about what is drawn over the scene
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
-    state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
+    state: State = "queued"
     sentence: str = ""  # why it failed
     made: float = 0.0  # when it was asked for [seconds since 1970]
 

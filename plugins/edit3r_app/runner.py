@@ -18,7 +18,7 @@ import yaml
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write, remove_abandoned
 from edit3r.running import DEFAULTS
-from edit3r_app.jobs import ASKED, AppJob, JobsFolder
+from edit3r_app.jobs import ASKED, AppJob, JobsFolder, State
 from edit3r_app.progress import read_progress
 from edit3r_app.ready import PATIENCE, WAITING, begin, send, waiting
 from edit3r_app.uploads import DRAFT
@@ -173,7 +173,7 @@ class Runner:
         self._running = job.name, child
         self.folder.write(replace(job, state="running"))
 
-    def _end(self, state: str, sentence: str = "") -> None:
+    def _end(self, state: State, sentence: str = "") -> None:
         """End the run in progress, where it still runs, and write down what came of it.
 
         It is interrupted, so that it removes what it began, and ended where it does not obey.
