@@ -19,7 +19,6 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -44,11 +43,6 @@ KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 """Folders of images: of a set of photos, of a run, and of what a run will edit."""
 ASKED = "asked.json"
 """File beside a job: what was drawn over the scene before it."""
-RECENT = 2.0
-"""[s] that a file may change while its time of change stays: as coarse as some disks note it.
-No figure kept.
-"""
-
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 
@@ -86,7 +80,7 @@ _NAMING = threading.Lock()
 
 
 class JobsFolder:
-    """Reads and writes the jobs folder; what is kept of it in memory is asked of the disk anew."""
+    """Reads and writes the jobs folder; nothing of it is kept in memory."""
 
     def __init__(self, root: str | Path) -> None:
         self.root = expanded(root).resolve()
@@ -259,18 +253,20 @@ class JobsFolder:
         """What the record and the run folder say; None where there is neither."""
         if not _is_name(name):
             return None
-        job = _unless_changed(_record_in, self._record(name))
+        job = None
+        with suppress(OSError, ValueError, InputError):
+            job = _JOB.validate_json(self._record(name).read_bytes())
         if job is None:  # a run of the command line, or a damaged record
             if not is_run:
                 return None
             job = AppJob(name, name, made=(self.root / name).stat().st_mtime)
+        job = replace(job, name=name)
         if is_run:
-            prompt = manifest_of(self.root / name).get("prompt")
-            settings = job.settings or {"prompt": prompt}
-            return replace(job, name=name, state="done", settings=settings)
+            prompt = {"prompt": manifest_of(self.root / name).get("prompt")}
+            return replace(job, state="done", settings=job.settings or prompt)
         if job.state == "done":
             job = replace(job, state="failed", sentence="its folder is gone.")
-        return replace(job, name=name)
+        return job
 
 
 def _no_link(path: Path) -> Path:
@@ -289,7 +285,9 @@ def _is_name(name: object) -> bool:
 
 def manifest_of(run: Path) -> dict[str, Any]:
     """Content of a run's run.json; empty where it cannot be read: it may be a stranger's."""
-    content = _unless_changed(_json_in, run / "run.json")
+    content = None
+    with suppress(OSError, ValueError, RecursionError):
+        content = read_json(run / "run.json")
     return content if isinstance(content, dict) else {}
 
 
@@ -297,34 +295,6 @@ def objects_of(folder: JobsFolder, run: str) -> list[str]:
     """Names of a run's objects; none of what is no run, or says nothing that can be read."""
     found = manifest_of(folder.root / run).get("objects")
     return [str(name) for name in found] if isinstance(found, dict) else []
-
-
-def _unless_changed(read: Any, file: Path) -> Any:
-    """What one of the two functions below reads from a file, once for each time of change and size.
-
-    A file that has just changed is read every time: it may change again before the clock of the
-    disk ticks. None where there is none that can be read.
-    """
-    with suppress(OSError):
-        status = file.stat()
-        is_recent = time.time() - status.st_mtime < RECENT
-        read = read.__wrapped__ if is_recent else read
-        return read(file, status.st_mtime_ns, status.st_size)
-    return None
-
-
-@lru_cache(maxsize=4096)
-def _record_in(file: Path, changed: int, size: int) -> AppJob | None:
-    with suppress(ValueError, InputError):
-        return _JOB.validate_json(file.read_bytes())
-    return None
-
-
-@lru_cache(maxsize=1024)
-def _json_in(file: Path, changed: int, size: int) -> Any:
-    with suppress(ValueError, RecursionError):
-        return read_json(file)
-    return None
 
 
 def tree(history: list[AppJob]) -> list[tuple[int, AppJob]]:

@@ -76,11 +76,12 @@ class SamOnnxSegmenter(Segmenter):
             raise InputError(
                 "sam-onnx: give both files, encoder and decoder, or neither."
             )
-        files = settings.encoder, settings.decoder
-        if not settings.encoder:
+        if settings.encoder:
+            files = [Path(settings.encoder), Path(settings.decoder)]
+        else:
             folder = find(SAM2_ONNX)
-            files = tuple(folder / SAM2_ONNX.stored(one) for one, _ in SAM2_ONNX.files)
-        self._encoder_file, self._decoder_file = map(Path, files)
+            files = [folder / SAM2_ONNX.stored(one) for one, _ in SAM2_ONNX.files]
+        self._encoder_file, self._decoder_file = files
         self._encoder: Any = None
         self._decoder: Any = None
         self._embeddings: dict[str, Embedding] = {}
@@ -132,9 +133,10 @@ class SamOnnxSegmenter(Segmenter):
             x, y, width, height = box
             places += [(x, y), (x + width, y + height)]
             labels += CORNERS
-        mask = np.zeros((MASK_SIDE, MASK_SIDE), np.float32)
-        if before is not None:
-            mask = cv2.resize(before, mask.shape)
+        if before is None:
+            mask = np.zeros((MASK_SIDE, MASK_SIDE), np.float32)
+        else:
+            mask = np.float32(cv2.resize(before, (MASK_SIDE, MASK_SIDE)))
         return self._decode(
             {
                 **{name: one.numpy() for name, one in read.items()},
