@@ -102,16 +102,6 @@ def test_a_compressed_ply_that_strays_spoil_is_told_of(tmp_path):
         export_scene(tmp_path / "s.ply", with_strays(400), "compressed-ply")
 
 
-@pytest.mark.parametrize(
-    ("form", "theirs"),
-    [("spz", "spz"), ("compressed-ply", "compressed.ply"), ("ply", "ply")],
-)
-def test_gaussforge_counts_every_gaussian(tmp_path, form, theirs):
-    export_scene(tmp_path / "s", scene(), form)
-    found = gaussforge.GaussForge().read((tmp_path / "s").read_bytes(), theirs)
-    assert found["data"]["numPoints"] == 400
-
-
 def test_spz_is_of_version_3_or_4_as_was_asked_for(tmp_path):
     """Version 3 is one gzip stream; version 4 begins with a plain header."""
     for form in ("spz", "spz4"):
