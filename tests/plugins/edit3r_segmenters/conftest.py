@@ -234,16 +234,18 @@ def sam_onnx_folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def build_sam_onnx(sam_onnx_folder, monkeypatch):
+def sam_onnx_files(sam_onnx_folder, monkeypatch) -> dict[str, str]:
+    """Its settings, where the segmenter expects that form."""
     monkeypatch.setattr("edit3r_segmenters.sam_onnx.SIDE", 64)
     monkeypatch.setattr("edit3r_segmenters.sam_onnx.OUTPUTS", ("logits", "quality"))
+    names = {"encoder": "encoder.onnx", "decoder": "sam.onnx"}
+    return {which: str(sam_onnx_folder / name) for which, name in names.items()}
 
+
+@pytest.fixture
+def build_sam_onnx(sam_onnx_files):
     def build(**settings):
-        given = {
-            "encoder": str(sam_onnx_folder / "encoder.onnx"),
-            "decoder": str(sam_onnx_folder / "sam.onnx"),
-        }
-        return edit3r.build("segmenter", "sam-onnx", **(given | settings))
+        return edit3r.build("segmenter", "sam-onnx", **(sam_onnx_files | settings))
 
     return build
 
@@ -325,13 +327,10 @@ def build_sam3(sam3_folder):
     """SAM3 with quality bounds off."""
 
     def build(**settings):
-        bounds = {
-            "min_score": 0.0,
-        }
         chosen = {
             "model": str(sam3_folder),
             "local_files_only": True,
-            **bounds,
+            "min_score": 0.0,
             **settings,
         }
         return edit3r.build("segmenter", "sam3", **chosen)
