@@ -162,19 +162,7 @@ def test_a_name_is_no_option_and_can_be_printed(name):
 
 def test_behind_two_dashes_nothing_is_an_option(tmp_path, capsys):
     out = tmp_path / "elsewhere"
-    run = str(tmp_path / "run")
-    main(
-        [
-            "objects",
-            "--quiet",
-            "--out",
-            str(tmp_path / "o"),
-            "--",
-            run,
-            "rename",
-            f"--out={out}",
-            "b",
-        ]
-    )
+    line = f"objects --quiet --out {tmp_path}/o -- {tmp_path}/run rename --out={out} b"
+    main(line.split())
     assert not out.exists() and "unrecognized" not in capsys.readouterr().err
     assert json.dumps([path.name for path in tmp_path.iterdir()]) == "[]"

@@ -25,25 +25,9 @@ def scene(tmp_path):
 
 
 def _render(folder, *options: str, of: str = "scene.ply") -> int:
-    cameras = [
-        "--cameras",
-        str(folder / "transforms.json"),
-        "--make",
-        "pictures",
-        "--out",
-        str(folder / "out"),
-    ]
-    return main(
-        [
-            "render",
-            str(folder / of),
-            *cameras,
-            "--rasterizer",
-            "torch",
-            "--quiet",
-            *options,
-        ]
-    )
+    given = f"{folder}/{of} --cameras {folder}/transforms.json --out {folder}/out"
+    parts = "--make pictures --rasterizer torch --quiet"
+    return main(["render", *given.split(), *parts.split(), *options])
 
 
 def test_views_larger_than_wanted_are_drawn_smaller(scene, monkeypatch):
