@@ -38,32 +38,21 @@ FIRST = (
 """What most people want, above all else."""
 
 
-def downloads() -> dict[str, str]:
-    """What there is to download, with a sentence for each: of every writer, and of every run."""
-    told = {
-        file: f"{one.component.summary}. It keeps {one.component.keeps}; it loses "
-        f"{one.component.loses}"
-        for file, one in _writers().items()
-    }
-    return {**told, **OF_EVERY_RUN}
-
-
 def offered_files(folder: JobsFolder, run: str) -> list[dict[str, Any]]:
     """Every download of a run: its file, what it is for, what it keeps and loses, and its size, or
     none where it is made when asked for.
     """
     source = folder.path(run)
-    writers = _writers()
     found = []
-    for what in sorted(downloads(), key=_place):
-        offer = writers.get(what)
-        one = offer.component if offer else None
+    for what, offer in sorted(_downloads().items(), key=lambda one: _place(one[0])):
+        of_all = OF_EVERY_RUN.get(what)
+        one = offer.component if offer and not of_all else None
         there = (source / what, folder.beside(run) / what)
         sizes = [path.stat().st_size for path in there if path.is_file()]
         found.append(
             {
                 "file": what,
-                "what": one.summary if one else OF_EVERY_RUN[what],
+                "what": one.summary if one else of_all,
                 "keeps": one.keeps if one else "",
                 "loses": one.loses if one else "",
                 "bytes": sizes[0] if sizes else None,
@@ -78,21 +67,14 @@ def _place(what: str) -> tuple[int, str]:
     return (FIRST.index(what) if what in FIRST else len(FIRST), what)
 
 
-def _writers() -> dict[str, Offer]:
-    """The writers of what not every run has, by the file that they leave."""
-    files = _writers_by_file().items()
-    return {file: offer for file, offer in files if file not in OF_EVERY_RUN}
-
-
-def _writers_by_file() -> dict[str, Offer]:
-    """The writers by the file that they leave; a folder is sent as an archive."""
-    files = {}
+def _downloads() -> dict[str, Offer | None]:
+    """All files that can be had, with the writers that make them; a folder is sent packed."""
+    files: dict[str, Offer | None] = dict.fromkeys(OF_EVERY_RUN)
     registry = default_registry()
     for offer in registry.offers("writer"):
-        if registry.missing(offer):
-            continue
-        packed = ".zip" if offer.component.makes_folder else ""
-        files[f"{offer.component.file_name()}{packed}"] = offer
+        if not registry.missing(offer):
+            packed = ".zip" if offer.component.makes_folder else ""
+            files[f"{offer.component.file_name()}{packed}"] = offer
     return files
 
 
@@ -107,12 +89,13 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
     made = folder.beside(run) / what
     if what in FILMS and _is_file(made):
         return made
-    if what not in downloads():
+    writers = _downloads()
+    if what not in writers:
         raise InputError(f"{what[:40]!r}: not a file of a run.")
     for file in (source / what, made):
         if _is_file(file):
             return file
-    writer = _writers_by_file().get(what)
+    writer = writers[what]
     if what == ARCHIVE:
         _pack(source, made)
     elif writer is not None and scene_file(str(source)).is_file():

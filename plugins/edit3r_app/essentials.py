@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from edit3r.contract.weights import ESSENTIALS
+from edit3r.kit.children import PYTHON
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading import declared
-from edit3r_app.runner import EDIT3R
 
-GET_ESSENTIALS = (*EDIT3R, "weights", "get", ESSENTIALS, "--yes")
+GET_ESSENTIALS = (*PYTHON, "-m", "edit3r", "weights", "get", ESSENTIALS, "--yes")
 NOT_FETCHED = "Not fetched, for the reason above. Press again to go on."
 
 

@@ -1,18 +1,12 @@
-"""Who may talk to the server: requests and sockets are checked before the page library sees
-them.
-"""
+"""Who may talk to the server: requests are checked before the page library sees them."""
 
-import asyncio
 import hmac
 import urllib.parse
-from typing import Any
 
-import h11
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 COOKIE = "edit3r-token"
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -28,38 +22,6 @@ HEADERS = {
 }
 
 
-PATIENCE = 20.0
-"""[s] that a request may take until its header is there; no figure kept."""
-
-
-class Connection(H11Protocol):
-    """One that is closed where the header of a request does not arrive in time."""
-
-    _late: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: Any) -> None:
-        super().connection_made(transport)
-        self._wait()
-
-    def data_received(self, data: bytes) -> None:
-        super().data_received(data)
-        self._wait()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        super().connection_lost(exc)
-        if self._late is not None:
-            self._late.cancel()
-
-    def _wait(self) -> None:
-        """Begin to wait where a header is due, however little of it has come; else end it."""
-        is_due = self.conn.their_state is h11.IDLE
-        if is_due and self._late is None:
-            self._late = self.loop.call_later(PATIENCE, self.transport.close)
-        elif not is_due and self._late is not None:
-            self._late.cancel()
-            self._late = None
-
-
 class Guard:
     """ASGI middleware: refuses foreign hosts and origins, missing tokens, and endless bodies."""
 
@@ -71,20 +33,17 @@ class Guard:
         self.max_bytes = max_bytes  # of one request
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
+        if scope["type"] != "http":  # there are no other addresses
             await self.app(scope, receive, send)
             return
         asked = HTTPConnection(scope)
-        is_page = scope["type"] == "http"
         refusal = self._refusal(asked)
-        if refusal is not None and is_page:
+        if refusal is not None:
             await refusal(scope, receive, send)
-        elif refusal is not None:
-            await send({"type": "websocket.close", "code": 4403})
-        elif is_page and self.token and asked.query_params.get("token"):
+        elif self.token and asked.query_params.get("token"):
             await _entry(asked, self.root)(scope, receive, send)
         else:
-            await self.app(scope, receive, _with_headers(send) if is_page else send)
+            await self.app(scope, receive, _with_headers(send))
 
     def _refusal(self, asked: HTTPConnection) -> Response | None:
         """The answer to what is refused; None for what may pass."""

@@ -19,12 +19,11 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 from jaxtyping import Float
-from pydantic import NonNegativeInt, TypeAdapter
+from pydantic import TypeAdapter
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -33,6 +32,7 @@ from edit3r.kit.files.names import expanded, is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
 from edit3r.running import RunFolder
+from edit3r_app.objects import ObjectAction
 
 PRIVATE = ".edit3r-app"
 DELETED = ".deleted"
@@ -43,10 +43,8 @@ KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 """Folders of images: of a set of photos, of a run, and of what a run will edit."""
 ASKED = "asked.json"
 """File beside a job: what was drawn over the scene before it."""
-RECENT = 2.0
-"""[s] that a file may change while its time of change stays: as coarse as some disks note it.
-No figure kept.
-"""
+
+State = Literal["queued", "running", "done", "failed", "cancelled"]
 
 
 @dataclass(frozen=True)
@@ -58,16 +56,13 @@ class AppJob:
     parent: str = ""  # the run whose scene is edited again; "": from the photos
     # of the run, as a configuration file holds them
     settings: dict[str, Any] = field(default_factory=dict)
-    # what `edit3r objects` is asked for instead of an edit: an action, a name, values
-    object: tuple[str, ...] = ()
+    # what `edit3r objects` is asked for instead of an edit
+    object: ObjectAction | None = None
     drawn: bool = False  # whether that is about what is drawn over the scene
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
-    state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
+    state: State = "queued"
     sentence: str = ""  # why it failed
-    # of the child process that nobody has seen end; 0: there is none
-    pid: NonNegativeInt = 0
-    began: int = 0  # when that process did [clock ticks since the machine did]
     made: float = 0.0  # when it was asked for [seconds since 1970]
 
     @property
@@ -85,7 +80,7 @@ _NAMING = threading.Lock()
 
 
 class JobsFolder:
-    """Reads and writes the jobs folder; what is kept of it in memory is asked of the disk anew."""
+    """Reads and writes the jobs folder; nothing of it is kept in memory."""
 
     def __init__(self, root: str | Path) -> None:
         self.root = expanded(root).resolve()
@@ -258,18 +253,20 @@ class JobsFolder:
         """What the record and the run folder say; None where there is neither."""
         if not _is_name(name):
             return None
-        job = _unless_changed(_record_in, self._record(name))
+        job = None
+        with suppress(OSError, ValueError, InputError):
+            job = _JOB.validate_json(self._record(name).read_bytes())
         if job is None:  # a run of the command line, or a damaged record
             if not is_run:
                 return None
             job = AppJob(name, name, made=(self.root / name).stat().st_mtime)
+        job = replace(job, name=name)
         if is_run:
-            prompt = manifest_of(self.root / name).get("prompt")
-            settings = job.settings or {"prompt": prompt}
-            return replace(job, name=name, state="done", settings=settings)
+            prompt = {"prompt": manifest_of(self.root / name).get("prompt")}
+            return replace(job, state="done", settings=job.settings or prompt)
         if job.state == "done":
             job = replace(job, state="failed", sentence="its folder is gone.")
-        return replace(job, name=name)
+        return job
 
 
 def _no_link(path: Path) -> Path:
@@ -288,36 +285,16 @@ def _is_name(name: object) -> bool:
 
 def manifest_of(run: Path) -> dict[str, Any]:
     """Content of a run's run.json; empty where it cannot be read: it may be a stranger's."""
-    content = _unless_changed(_json_in, run / "run.json")
+    content = None
+    with suppress(OSError, ValueError, RecursionError):
+        content = read_json(run / "run.json")
     return content if isinstance(content, dict) else {}
 
 
-def _unless_changed(read: Any, file: Path) -> Any:
-    """What one of the two functions below reads from a file, once for each time of change and size.
-
-    A file that has just changed is read every time: it may change again before the clock of the
-    disk ticks. None where there is none that can be read.
-    """
-    with suppress(OSError):
-        status = file.stat()
-        is_recent = time.time() - status.st_mtime < RECENT
-        read = read.__wrapped__ if is_recent else read
-        return read(file, status.st_mtime_ns, status.st_size)
-    return None
-
-
-@lru_cache(maxsize=4096)
-def _record_in(file: Path, changed: int, size: int) -> AppJob | None:
-    with suppress(ValueError):
-        return _JOB.validate_json(file.read_bytes())
-    return None
-
-
-@lru_cache(maxsize=1024)
-def _json_in(file: Path, changed: int, size: int) -> Any:
-    with suppress(ValueError, RecursionError):
-        return read_json(file)
-    return None
+def objects_of(folder: JobsFolder, run: str) -> list[str]:
+    """Names of a run's objects; none of what is no run, or says nothing that can be read."""
+    found = manifest_of(folder.root / run).get("objects")
+    return [str(name) for name in found] if isinstance(found, dict) else []
 
 
 def tree(history: list[AppJob]) -> list[tuple[int, AppJob]]:

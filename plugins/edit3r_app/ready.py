@@ -1,74 +1,79 @@
 """A process of `edit3r` that waits for its arguments: what takes seconds to import is there.
 
 It is started beside the person's pointing, so that an edit begins at once. A server that ends, or
-is killed, ends it too.
+is killed, ends it too, whether it waits or works.
 """
 
+import _thread
 import contextlib
 import json
 import os
 import runpy
-import socket
+import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Sequence
-from typing import IO
+from pathlib import Path
 
 from edit3r.kit.children import PYTHON
 
-CAN_WAIT = hasattr(socket, "send_fds")  # not on Windows: files are sent by a socket
 WAITING = (*PYTHON, "-m", "edit3r_app.ready")
-PORTION = 1 << 16  # [bytes]
+PATIENCE = 5.0  # [s] between asking a process to stop and ending it; no figure kept
 
 
-class ReadyProcess:
-    """One such process, seen from the server."""
-
-    def __init__(self, program: Sequence[str] = WAITING) -> None:
-        self._asks, theirs = socket.socketpair()
-        with theirs:
-            self.process = subprocess.Popen(
-                [*program, str(theirs.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-            )
-
-    def begin(self, arguments: Sequence[str], output: IO) -> subprocess.Popen | None:
-        """Let it carry out a command, which writes into `output` and holds its lock.
-
-        None where it ended meanwhile.
-        """
-        with self._asks, contextlib.suppress(OSError):
-            if self.process.poll() is None:
-                told = json.dumps(arguments).encode()
-                sent = socket.send_fds(self._asks, [told[:PORTION]], [output.fileno()])
-                self._asks.sendall(told[sent:])
-                return self.process
-        return None
-
-    def end(self) -> None:
-        self._asks.close()
-        self.process.kill()
-        self.process.wait()
+def waiting(program: Sequence[str] = WAITING) -> subprocess.Popen:
+    """Start such a process, in a session of its own."""
+    return subprocess.Popen(
+        program,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
-def take(number: int) -> list[str] | None:
-    """Wait for arguments at a socket, and write into the file that comes with them.
+def begin(process: subprocess.Popen, arguments: Sequence[str], log: Path) -> None:
+    """Let it carry out a command, which writes into `log`."""
+    assert process.stdin is not None  # it is a pipe
+    process.stdin.write(json.dumps([str(log), *arguments]).encode() + b"\n")
+    process.stdin.flush()
 
-    None where the server ended.
+
+def take() -> list[str]:
+    """Wait for arguments, and write from then on into the file that comes with them; the process
+    ends where the server does.
     """
-    with socket.socket(fileno=number) as asks:
-        told, files, _, _ = socket.recv_fds(asks, PORTION, 1)
-        told += b"".join(iter(lambda: asks.recv(PORTION), b""))
-    if not files:
-        return None
-    for stream in (1, 2):
-        os.dup2(files[0], stream)
-    os.close(files[0])
-    return json.loads(told)
+    server, told = os.dup(0), b""
+    while not told.endswith(b"\n"):
+        read = os.read(server, 1 << 16)
+        if not read:
+            sys.exit()
+        told += read
+    log, *arguments = json.loads(told)
+    with open(os.devnull, "rb") as nothing, open(log, "wb") as output:
+        for stream, file in enumerate((nothing, output, output)):
+            os.dup2(file.fileno(), stream)
+    threading.Thread(target=_end_with, args=(server,), daemon=True).start()
+    return arguments
+
+
+def _end_with(server: int) -> None:
+    """Interrupt the command when the server is gone; end it where it does not obey."""
+    os.read(server, 1)
+    _thread.interrupt_main()
+    time.sleep(PATIENCE)
+    send(getattr(signal, "SIGKILL", signal.SIGTERM), os.getpid())
+
+
+def send(kind: signal.Signals, pid: int) -> None:
+    """Send a signal to a process that leads a session, and to all that it started."""
+    with contextlib.suppress(OSError):
+        if hasattr(os, "killpg"):
+            os.killpg(pid, kind)
+        else:
+            os.kill(pid, kind)
 
 
 def _prepare() -> None:
@@ -83,11 +88,10 @@ def _prepare() -> None:
 
 
 def main() -> None:
-    _prepare()
-    arguments = take(int(sys.argv[1]))
-    if arguments is not None:
-        sys.argv = ["edit3r", *arguments]
-        runpy.run_module("edit3r", run_name="__main__", alter_sys=True)
+    with contextlib.suppress(Exception):  # the command says better what is wrong
+        _prepare()
+    sys.argv = ["edit3r", *take()]
+    runpy.run_module("edit3r", run_name="__main__", alter_sys=True)
 
 
 if __name__ == "__main__":

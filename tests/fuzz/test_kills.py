@@ -213,9 +213,7 @@ def test_an_app_killed_at_an_upload_or_a_new_job_starts_again_with_whole_ones(ki
     seen = set()
     for root in kills(act, range(0, 100, 3)):
         folder = JobsFolder(root)
-        runner = Runner(folder)
-        runner.clear_left_over()
-        runner.stop()
+        Runner(folder).stop()  # it clears up
         kept = [path.read_bytes() for path in root.glob("bear/images/*")]
         asked = [job.prompt for job in folder.jobs()]
         assert kept in ([], [photo]) and asked in ([], ["paint it red"]), root

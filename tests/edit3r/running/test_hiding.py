@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_app.downloads import downloads, prepared
+from edit3r_app.downloads import offered_files, prepared
 from edit3r_app.jobs import JobsFolder
 from PIL import Image
 
@@ -189,7 +189,7 @@ def test_no_download_of_the_app_shows_it(hidden, ordinary, tmp_path):
     for name, run_folder in (("hidden", hidden), ("ordinary", ordinary)):
         shutil.copytree(run_folder, folder.root / name)
         made[name] = tmp_path / name
-        for what in downloads():
+        for what in (one["file"] for one in offered_files(folder, name)):
             file = prepared(folder, name, what)
             if file.suffix == ".zip":
                 shutil.unpack_archive(file, made[name] / what)

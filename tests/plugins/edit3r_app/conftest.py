@@ -39,14 +39,9 @@ class Server:
     def start(self):
         call = [
             sys.executable,
-            "-m",
-            "edit3r",
-            "app",
-            "--no-browser",
-            "--size",
-            "96",
+            *["-m", "edit3r", "app", "--no-browser", "--size", "96", "--port"],
         ]
-        call += ["--port", str(self.port), "--jobs", str(self.folder), *self.more]
+        call += [str(self.port), "--jobs", str(self.folder), *self.more]
         plain = {
             name: value
             for name, value in os.environ.items()

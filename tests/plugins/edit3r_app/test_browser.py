@@ -332,7 +332,7 @@ def test_an_edit_outlives_a_server_that_is_killed(server, tab):
     page.get_by_label("what to change").press("Enter")  # at once, as people who type do
     page.wait_for_url("**at=**")
     for _ in range(600):
-        if any(job.pid for job in JobsFolder(server.folder).jobs()):
+        if any(job.state == "running" for job in JobsFolder(server.folder).jobs()):
             break
         time.sleep(0.1)
     server.kill(signal.SIGKILL)

@@ -3,17 +3,15 @@ tree.
 """
 
 import json
-import os
 from dataclasses import replace
 
 import pytest
-from edit3r_app import jobs
 from edit3r_app.jobs import AppJob, JobsFolder, manifest_of, tree
 from PIL import Image
 
 from edit3r.contract.errors import InputError
 
-DAMAGED_PID = '{"name": "bear-1", "scene": "bear", "state": "running", "pid": "x"}'
+DAMAGED = '{"name": "bear-1", "scene": "bear", "state": "running", "masks": "x"}'
 
 
 @pytest.fixture
@@ -113,7 +111,7 @@ def test_a_damaged_run_json_breaks_no_listing(folder, content):
         "[]",
         '{"name": 5}',
         '{"name": "../../x", "scene": "y", "state": "odd"}',
-        DAMAGED_PID,
+        DAMAGED,
     ],
 )
 def test_a_damaged_record_is_passed_over(folder, content):
@@ -129,63 +127,6 @@ def test_what_is_written_is_read_by_another_server(folder):
     assert job.name == "bear-1"
     assert JobsFolder(folder.root).job("bear-1") == job
     assert folder.new_job(AppJob("", scene)).name == "bear-2"
-
-
-LONG_AGO = 10**18  # [ns since 1970]
-
-
-def put(file, prompt, changed=LONG_AGO):
-    """A record, or a run.json, that holds a prompt of four letters."""
-    content = {"name": "", "scene": "bear", "settings": {"prompt": prompt}}
-    file.parent.mkdir(exist_ok=True)
-    file.write_text(json.dumps({**content, "prompt": prompt}))
-    if changed is not None:
-        os.utime(file, ns=(changed, changed))
-
-
-@pytest.fixture(params=["record", "run.json"])
-def prompted(folder, request):
-    """A file, and the prompt that is read from it."""
-    if request.param == "record":
-        file = folder.private / "bear-1.json"
-        return file, lambda: next(folder.jobs()).prompt
-    file = folder.root / "bear-1" / "run.json"
-    return file, lambda: manifest_of(file.parent)["prompt"]
-
-
-def test_an_unchanged_record_is_not_read_again(prompted):
-    file, prompt = prompted
-    put(file, "gold")
-    assert prompt() == "gold"
-    put(file, "blue")  # with the time and the size that it had
-    assert prompt() == "gold"
-
-
-@pytest.mark.parametrize(
-    "wanted, changed",
-    [("golden", LONG_AGO), ("blue", LONG_AGO + 10**9), ("blue", LONG_AGO - 10**9)],
-    ids=["size", "later", "earlier"],
-)
-def test_a_changed_record_is_seen_at_once(prompted, wanted, changed):
-    file, prompt = prompted
-    put(file, "gold")
-    assert prompt() == "gold"
-    put(file, wanted, changed)
-    assert prompt() == wanted
-
-
-def test_a_record_that_changes_twice_within_one_tick_is_seen_at_once(prompted):
-    file, prompt = prompted
-    put(file, "gold", changed=None)
-    now = file.stat().st_mtime_ns
-    assert prompt() == "gold"
-    put(file, "blue", changed=now)
-    assert prompt() == "blue"
-
-
-def test_what_is_kept_of_records_is_bounded():
-    for kept in (jobs._record_in, jobs._json_in):
-        assert kept.cache_info().maxsize <= 4096
 
 
 def test_a_job_that_says_done_but_left_no_run_has_failed(folder):

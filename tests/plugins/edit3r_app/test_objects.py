@@ -1,10 +1,8 @@
 """Actions on objects as the page asks for them: checked, and put into words of a command line."""
 
-from dataclasses import replace
-
 import pytest
-from edit3r_app.jobs import AppJob, JobsFolder
-from edit3r_app.objects import objects_of, read_action
+from edit3r_app.jobs import AppJob, JobsFolder, objects_of
+from edit3r_app.objects import read_action
 from edit3r_app.runner import command_of
 
 from edit3r.contract.errors import InputError
@@ -14,6 +12,7 @@ from edit3r.contract.errors import InputError
     ("asked", "call"),
     [
         ({"action": "find"}, ("find",)),
+        ({"action": "remove", "name": "caf\u00e9"}, ("remove", "caf\u00e9")),
         (
             {"action": "move", "name": "cup", "numbers": [0.1, 0, -0.25]},
             ("move", "cup", "0.1", "0", "-0.25"),
@@ -61,20 +60,11 @@ def test_words_of_an_action_never_become_flags(tmp_path):
     folder = JobsFolder(tmp_path)
     (folder.root / "bike").mkdir()
     action = read_action({"action": "remove", "name": "overwrite"})
-    job = AppJob("bike-1", "bike", parent="bike", object=action.call, masks=1)
+    job = AppJob("bike-1", "bike", parent="bike", object=action, masks=1)
     command = command_of(folder, job)
     assert command[:2] == ["objects", "--quiet"]
     assert command[-4:] == ["--", str(folder.root / "bike"), "remove", "overwrite"]
     assert command[command.index("--mask") + 1].endswith("000.png")
-
-
-def test_a_length_is_all_that_measuring_takes(tmp_path):
-    folder = JobsFolder(tmp_path)
-    (folder.root / "bike").mkdir()
-    job = AppJob("bike-1", "bike", parent="bike", object=("measure", "3.5=69.4 cm"))
-    assert command_of(folder, job)[-2:] == ["measure", "3.5=69.4 cm"]
-    with pytest.raises(InputError, match="not something"):
-        command_of(folder, replace(job, object=("measure", "3.5=69.4 cm", "more")))
 
 
 @pytest.mark.parametrize("content", ['{"objects": 5}', '{"objects": null}', "[", "{}"])

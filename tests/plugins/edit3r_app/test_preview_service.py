@@ -20,7 +20,6 @@ from PIL import Image
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Candidate, Selected, Selector
-from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.photos.images import packaged_pair
@@ -234,15 +233,6 @@ def test_the_photo_that_is_shown_is_read_first_and_others_while_nobody_speaks(
     assert read == [0, "geometry", 1]
 
 
-@pytest.mark.slow
-def test_geometry_is_kept_in_the_cache(previews, scene):
-    opened = previews.sessions.open(scene)
-    first = opened.geometry.result()
-    with collecting(Report()):
-        again = previews.sessions._geometry(opened.views, opened)
-    assert torch.equal(first.geometry.depths, again.geometry.depths)
-
-
 def test_geometry_survives_a_restart(previews, folder, scene):
     first = previews.sessions.open(scene)
     shown = first.geometry.result()
@@ -335,32 +325,32 @@ def test_who_points_waits_for_no_search(previews, scene):
 
 
 @pytest.mark.parametrize(
-    "sentence",
+    ("sentence", "steps"),
     [
-        "make the background red",
-        "paint everything but this red",
-        "make it blue and the background red",
+        ("make the background red", []),
+        ("paint everything but this red", []),
+        ("make it blue and the background red", []),
+        ("paint all of it red", [Step("grow", 4)]),  # the outline is moved once
     ],
 )
 @pytest.mark.parametrize("found", [False, True])
-def test_what_is_seen_before_go_is_what_go_makes(previews, scene, sentence, found):
+def test_what_is_seen_before_go_is_what_go_makes(
+    previews, scene, sentence, steps, found
+):
     """Where the edit applies is no mark of the thing, of which "the background" is all else."""
     paint = stroke(previews, scene, "paint", 0.1, [(0.2, 0.2), (0.4, 0.2)])
-    draft = Draft([paint], form={"prompt": sentence})
+    draft = Draft([paint, *steps], form={"prompt": sentence})
     look = previews.look(scene, draft)
     assert look.job is not None, look.problem
     whole = preview_service.preview(look.job, previews.registry).edit.views.images[0, 0]
     shown = previews.edited(scene, draft, look.views.names[0], found)
     image = torch.from_numpy(np.array(Image.open(io.BytesIO(shown)))) / 255
-    assert (image.permute(2, 0, 1) - whole).abs().mean() < 0.06  # as JPEG
-
-
-def test_a_sentence_is_said_as_it_was_read(previews, scene):
-    draft = Draft([click(previews, scene)], form={"prompt": "paint it red"})
-    look = previews.look(scene, draft)
-    assert "red" in look.understood
-    assert "recolor" in look.understood
-    assert look.problem == ""
+    image, before = image.permute(2, 0, 1), look.views.images[0, 0]
+    assert (image - whole).abs().mean() < 0.06  # as JPEG
+    if steps:  # a mean hides it
+        changed = [(one - before).abs().amax(0) > 0.2 for one in (image, whole)]
+        areas = [int(one.sum()) for one in changed]
+        assert areas[0] == pytest.approx(areas[1], rel=0.15)
 
 
 def test_the_edit_of_a_quick_editor_is_there_before_the_run(previews, folder, scene):
@@ -444,21 +434,3 @@ def test_a_component_of_other_parts_is_another_one(folder):
         for one in (first, second, first)
     ]
     assert built[0] is built[2] is not built[1]
-
-
-def test_an_outline_that_is_moved_is_moved_once_before_go(previews, scene):
-    """On one photo the mark answers with its outline moved already."""
-    paint = stroke(previews, scene, "paint", 0.1, [(0.3, 0.4), (0.6, 0.4)])
-    form = {"prompt": "paint all of it red"}
-    draft = Draft([paint, Step("grow", 4)], form=form)
-    look = previews.look(scene, draft)
-    name = look.views.names[0]
-    shown = previews.edited(scene, draft, name)
-    whole = preview_service.preview(look.job, previews.registry).edit.views.images[0, 0]
-    image = torch.from_numpy(np.array(Image.open(io.BytesIO(shown)))) / 255
-    before = look.views.images[0, 0]
-    areas = [
-        int(((one - before).abs().amax(0) > 0.2).sum())
-        for one in (image.permute(2, 0, 1), whole)
-    ]
-    assert areas[0] == pytest.approx(areas[1], rel=0.15)

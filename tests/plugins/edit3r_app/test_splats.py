@@ -1,21 +1,16 @@
 """A scene that is dropped: its pictures are what the page shows, and its own file is edited."""
 
-from dataclasses import replace
-
 import pytest
-import torch
 from edit3r_app import sessions, uploads
 from edit3r_app.draft import Draft, Mark
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.preview_service import PreviewService
 from edit3r_app.runner import command_of
-from edit3r_app.studio import _in_own_frame
 from edit3r_app.uploads import accept, looked_at, most_bytes, refuse_unwanted, remove
 
 import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.kit.scenes.ply import save_ply
-from edit3r.running import read_scene
 from tests.plugins.scan import scan
 
 
@@ -71,22 +66,6 @@ def test_another_axis_upwards_turns_the_pictures_until_something_was_made(droppe
     other = folder.new_scene("photos")
     with pytest.raises(InputError, match="nothing was made of"):
         uploads.turn_upright(folder, other, "+y")
-
-
-def test_a_stroke_over_the_page_lies_in_the_frame_of_the_file(dropped):
-    folder, scene = dropped
-    file, cameras = folder.splat(scene)
-    rasterizer = edit3r.build("rasterizer", "auto")
-    given = read_scene(file, rasterizer, cameras=cameras)
-    stroke = {"right": [1, 0, 0], "down": [0, 1, 0], "forward": [0, 0, 1]}
-    given = replace(given, views=replace(given.views, unit=2.0))
-    own = _in_own_frame({**stroke, "centre": [0.5, 0, 1]}, given)
-    eye = given.places.cameras.c2w[0, 0].double()
-    axes = torch.tensor([own[axis] for axis in stroke]).double().T
-    assert torch.allclose(axes, eye[:3, :3], atol=1e-6)
-    centre = eye[:3, :3] @ torch.tensor([1.0, 0, 2]).double() + eye[:3, 3]
-    assert torch.allclose(torch.tensor(own["centre"]).double(), centre, atol=1e-6)
-    assert _in_own_frame("none", given) == "none"  # refused where strokes are read
 
 
 def test_what_is_no_scene_is_refused_and_leaves_nothing(tmp_path):

@@ -142,7 +142,7 @@ def test_a_thing_is_taken_of_a_scene_only_and_its_edit_is_a_state_of_its_own(
     (renders.parent / "run.json").write_text('{"objects": {"bike": 0}}')
     name = studio.act(scene, run, {"action": "remove", "name": "bike"})
     job = studio.folder.job(name)
-    assert (job.parent, job.object) == (run, ("remove", "bike"))
+    assert (job.parent, job.object.call) == (run, ("remove", "bike"))
     assert job.prompt == "remove bike"
     told = studio.scene(scene, run)  # without photos, it is shown by what was rendered
     assert told["byHand"] and told["photos"] == ["left"]

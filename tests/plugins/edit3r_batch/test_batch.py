@@ -19,32 +19,12 @@ from edit3r.kit.scenes.ply import load_ply, save_ply
 from tests.plugins.scan import scan
 
 HERE = Path(__file__).parent
-QUICK = [
-    "--set",
-    "editor=harmful",
-    "--set",
-    "reconstructor=flat",
-    "--set",
-    "rasterizer=torch",
-    "--set",
-    "refine=0",
-]
-QUICK += [
-    "--set",
-    "gaussians=all",
-    "--set",
-    "size=24",
-    "--set",
-    "frames=2",
-    "--set",
-    "outputs=scene,images",
-]
-QUICK += [
-    "--plugin",
-    str(HERE / "harmful.py"),
-    "--plugin",
-    str(HERE.parent / "flat_scene.py"),
-]
+SETTINGS = (
+    "editor=harmful reconstructor=flat rasterizer=torch refine=0 gaussians=all size=24 "
+    "frames=2 outputs=scene,images"
+)
+QUICK = [f"--set={one}" for one in SETTINGS.split()]
+QUICK += [f"--plugin={HERE}/harmful.py", f"--plugin={HERE.parent}/flat_scene.py"]
 
 
 @pytest.fixture
@@ -100,18 +80,8 @@ def contents(out):
 
 @pytest.mark.slow
 def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
-    options = [
-        "--size",
-        "64",
-        "--frames",
-        "2",
-        "--prompt",
-        "make it warmer",
-        "--fov",
-        "50",
-        "--refine",
-        "2",
-    ]
+    options = ["--prompt", "make it warmer", "--fov", "50", "--refine", "2"]
+    options += ["--size", "64", "--frames", "2"]
     photos = [str(place / "a.png"), str(place / "b.png")]
     assert main(["run", *photos, *options, "--out", str(place / "run"), "--quiet"]) == 0
     for name in ("first", "second"):  # the second finds everything loaded
@@ -126,17 +96,8 @@ def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
         made = contents(place / "out" / name)
         assert json.loads(made.pop("job.json"))["fov"] == 50
         assert made == contents(place / "run")
-    again = [
-        *(
-            "--from",
-            str(place / "out" / "second"),
-            "--out",
-            str(place / "more"),
-            "--quiet",
-        ),
-        *options[2:6],
-    ]
-    assert main(["run", *again]) == 0
+    more = f"--from {place}/out/second --out {place}/more --quiet".split()
+    assert main(["run", *more, *options[:4]]) == 0
     assert "2 jobs: 2 " in capsys.readouterr().out
 
 
@@ -199,19 +160,8 @@ def test_a_killed_batch_of_two_workers_leaves_what_a_straight_one_of_one_worker_
     place,
 ):
     file = jobs_file(place, *["wait"] * 6)
-    command = [
-        sys.executable,
-        "-m",
-        "edit3r",
-        "batch",
-        file,
-        "--out",
-        str(place / "out"),
-        *QUICK,
-        "--workers",
-        "2",
-    ]
-    child = subprocess.Popen([*command, "--quiet"])
+    command = [sys.executable, "-m", "edit3r", "batch", file, "--workers=2", *QUICK]
+    child = subprocess.Popen([*command, f"--out={place}/out", "--quiet"])
     while sum(path.name == "run.json" for path in place.glob("out/job-*/*")) < 3:
         assert child.poll() is None
         time.sleep(0.02)

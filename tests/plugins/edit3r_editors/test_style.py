@@ -139,13 +139,6 @@ def test_without_a_picture_the_error_says_how_to_give_it(files):
         edited(files, picture="")
 
 
-def test_a_picture_that_cannot_be_read_is_named_before_any_photo(files, tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.jpg"):
-        edit3r.build(
-            "editor", "style", **{**files, "picture": str(tmp_path / "nowhere.jpg")}
-        )
-
-
 def test_a_pattern_of_places_is_gone_and_comes_back_with_the_strokes(files):
     """Neighbours of one colour in the photo have one colour, whatever the network draws there."""
     flat = Views(torch.full((1, 2, 3, 96, 128), 0.4), torch.eye(3).expand(1, 2, 3, 3))

@@ -33,10 +33,15 @@ def in_place(scene, **settings):
     return edit3r.build("reconstructor", "in-place", **settings).starting_from(scene)
 
 
+def pixels_of(scene, ball):
+    """Where the red ball (0) is seen, or the green one (1)."""
+    own = scene.images[0, :, ball]
+    others = [scene.images[0, :, other] for other in range(3) if other != ball]
+    return ((own > 1.8 * others[0]) & (own > 1.8 * others[1])).float()
+
+
 def red_pixels(scene):
-    """Where the red ball is seen."""
-    red, green, blue = scene.images[0].unbind(1)
-    return ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+    return pixels_of(scene, 0)
 
 
 def painted(scene, masks):
@@ -106,9 +111,14 @@ def test_pictures_without_an_edit_change_nothing(rasterizer):
 
 
 def removal(masks):
-    reader = edit3r.build("reader", "grammar")
-    text = "remove the ball"
-    return EditRequest(text, masks=masks[None], instructions=reader.read(text))
+    return asked("remove the ball", masks)
+
+
+def asked(text, masks, regions=None):
+    """The request of a sentence; `regions` are those of its instructions."""
+    instructions = edit3r.build("reader", "grammar").read(text)
+    regions = None if regions is None else regions[:, None]
+    return EditRequest(text, 0, masks[None], instructions, regions)
 
 
 def test_a_removed_thing_is_taken_out_and_the_rest_keeps_its_bits(rasterizer):
@@ -160,14 +170,9 @@ def test_nearly_all_of_a_scene_is_not_removed(rasterizer):
 
 def test_one_thing_is_painted_and_another_removed_by_one_sentence(rasterizer):
     scene = seen(scan(), rasterizer)
-    red, green, blue = scene.images[0].unbind(1)
-    balls = torch.stack(
-        [red_pixels(scene), ((green > 1.8 * red) & (green > 1.8 * blue)).float()]
-    )
+    balls = torch.stack([pixels_of(scene, ball) for ball in (0, 1)])
     views = painted(scene, balls.amax(0))  # as if a 2D removal had made it blue
-    text = "paint the apple blue and remove the pear"
-    instructions = edit3r.build("reader", "grammar").read(text)
-    request = EditRequest(text, 0, balls[None, 0], instructions, balls[:, None])
+    request = asked("paint the apple blue and remove the pear", balls[0], balls)
     made = in_place(scene, fill=False).edit_and_reconstruct(views, views, request)
     apple, pear = (of_ball(scene.gaussians, one) for one in (0, 1))
     assert made.kept[pear].float().mean() < 0.1
@@ -202,15 +207,12 @@ def test_beside_what_is_removed_nothing_takes_the_colours_of_the_picture_without
 ):
     """A soft outline reaches over the floor, where a 2D removal changed the picture too."""
     scene = seen(scan(), rasterizer)
-    red, green, blue = scene.images[0].unbind(1)
-    pear = ((green > 1.8 * red) & (green > 1.8 * blue)).float()
+    pear = pixels_of(scene, 1)
     rim = torch.nn.functional.max_pool2d(pear[:, None], 9, 1, 4)[:, 0]
     apple = red_pixels(scene) * (rim == 0)
     outlines = torch.stack([apple, torch.maximum(pear, 0.2 * rim)])
     views = painted(scene, torch.maximum(apple, rim))
-    text = "paint the apple blue and remove the pear"
-    instructions = edit3r.build("reader", "grammar").read(text)
-    request = EditRequest(text, 0, outlines[None, 0], instructions, outlines[:, None])
+    request = asked("paint the apple blue and remove the pear", outlines[0], outlines)
     made = in_place(scene, fill=False).edit_and_reconstruct(views, views, request)
     before = scene.gaussians.harmonics[0, made.kept]
     stays = of_ball(scene.gaussians, 0)[made.kept].logical_not()
@@ -219,14 +221,10 @@ def test_beside_what_is_removed_nothing_takes_the_colours_of_the_picture_without
 
 def test_all_that_one_sentence_removes_is_taken_out(rasterizer):
     scene = seen(scan(), rasterizer)
-    red, green, blue = scene.images[0].unbind(1)
-    pear = ((green > 1.8 * red) & (green > 1.8 * blue)).float()
-    things = torch.stack([red_pixels(scene), pear])
+    things = torch.stack([pixels_of(scene, ball) for ball in (0, 1)])
     views = Views(scene.images, scene.cameras.intrinsics)
-    text = "remove the apple and remove the pear"
-    instructions = edit3r.build("reader", "grammar").read(text)
-    assert len(instructions) == 2
-    request = EditRequest(text, 0, things.amax(0)[None], instructions, things[:, None])
+    request = asked("remove the apple and remove the pear", things.amax(0), things)
+    assert len(request.instructions) == 2
     made = in_place(scene, fill=False).edit_and_reconstruct(views, views, request)
     for ball in (0, 1):
         assert made.kept[of_ball(scene.gaussians, ball)].float().mean() < 0.1

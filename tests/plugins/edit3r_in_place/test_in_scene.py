@@ -19,6 +19,12 @@ from tests.plugins.scan import of_ball, scan
 SIZE = (56, 72)
 
 
+def red_on(images):
+    """Where pictures are red."""
+    red, green, blue = images.unbind(1)
+    return ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+
+
 class Asked:
     """The usual selector, which takes what is red on the pictures it is shown."""
 
@@ -27,8 +33,7 @@ class Asked:
 
     def select(self, views, selection, geometry=None):
         self.pictures.append(views.count)
-        red, green, blue = views.images[0].unbind(1)
-        masks = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+        masks = red_on(views.images[0])
         return Selected(masks[:, None], ("marked",) * views.count, confidence=0.8)
 
 
@@ -60,8 +65,7 @@ def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
 ):
     views = Views(scene.images, scene.cameras.intrinsics)
     found = selector.select(views, on_ball(scene, 3))
-    red, green, blue = scene.images[0].unbind(1)
-    true = (red > 1.8 * green) & (red > 1.8 * blue)
+    true = red_on(scene.images[0]) > 0
     masks = found.masks[:, 0] > 0.5
     shows = true.sum((1, 2)) > 10  # else the other ball stands before it
     both, either = (one.sum((1, 2))[shows] for one in (masks & true, masks | true))
@@ -117,8 +121,7 @@ def test_the_rest_is_selected_where_the_selection_is_inverted(scene, selector):
 
 def test_what_no_picture_shows_belongs_to_what_is_nearest(scene):
     rasterizer = edit3r.build("rasterizer", "numba")
-    red, green, blue = scene.images[0, :1].unbind(1)
-    mask = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+    mask = red_on(scene.images[0, :1])
     shown = evidence(scene.gaussians, scene.cameras.select([0]), mask, rasterizer)
     ball = of_ball(scene.gaussians, 0)
     hidden = ball & ~shown.seen
@@ -131,8 +134,7 @@ def test_what_no_picture_shows_belongs_to_what_is_nearest(scene):
 def test_what_shows_beside_or_through_a_thing_far_behind_it_is_not_the_thing(scene):
     """A mask that is two pixels too wide takes the ball, and little of the floor behind it."""
     rasterizer = edit3r.build("rasterizer", "numba")
-    red, green, blue = scene.images[0, :1].unbind(1)
-    mask = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+    mask = red_on(scene.images[0, :1])
     wide, camera = dilate(mask, 2), scene.cameras.select([0])
     taken = _Lifting(scene, rasterizer).evidence_of({0: wide[0]}).within
     plain = evidence(scene.gaussians, camera, wide, rasterizer).within

@@ -97,14 +97,8 @@ def test_cameras_follow_the_pictures_size_and_keep_their_poses(scene, tmp_path):
 def test_grabcut_finds_the_object_and_a_replay_gives_the_same_files(scene, tmp_path):
     """Colours, masks and faults come from the recipe; the second run needs no segmenter."""
     first, second = tmp_path / "first", tmp_path / "second"
-    loose = (
-        "--segmenter",
-        "grabcut",
-        "--set",
-        "filter.min_predicted_iou=0",
-        "--set",
-        "filter.min_stability=0.5",
-    )
+    loose = ["--set", "filter.min_predicted_iou=0", "--set", "filter.min_stability=0.5"]
+    loose += ["--segmenter", "grabcut"]
     assert _run(scene, first, "--seed", 4, "--augment", *loose) == 0
     box = torch.zeros(SIZE)
     box[12:32, 16:36] = 1

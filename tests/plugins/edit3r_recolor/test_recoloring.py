@@ -18,7 +18,6 @@ from edit3r_recolor.recoloring import (
     recolor,
     renormalize,
     sample_parameters,
-    to_greyscale,
     with_outline,
 )
 from hypothesis import given, settings, strategies as st
@@ -102,13 +101,6 @@ def test_lighting_varies_most_along_the_first_direction():
     _, sizes, axes = np.linalg.svd(offsets, full_matrices=False)
     assert abs(axes[0] @ np.array(PCA_DIRECTIONS[0])) > 0.999
     assert sizes[0] > 5 * sizes[1]
-
-
-def test_lighting_directions_are_orthonormal():
-    directions = torch.tensor(PCA_DIRECTIONS, dtype=torch.float64)
-    assert torch.allclose(
-        directions @ directions.T, torch.eye(3, dtype=torch.float64), atol=1e-3
-    )
 
 
 @pytest.mark.parametrize("wrong", [{"order": ("hue",)}, {"permutation": (0, 0, 1)}])
@@ -212,11 +204,6 @@ def test_gradients_reach_the_image():
     assert torch.autograd.gradcheck(lambda x: recolor(x, parameters), image, atol=1e-5)
 
 
-def test_greyscale_has_equal_channels():
-    grey = to_greyscale(picture(2, 3, 3, 3))
-    assert torch.equal(grey[:, 0], grey[:, 1]) and torch.equal(grey[:, 0], grey[:, 2])
-
-
 def masks(regions: int) -> torch.Tensor:
     return torch.rand(
         regions,
@@ -249,14 +236,6 @@ def test_overlapping_binary_masks_share_a_pixel_evenly():
     assert torch.allclose(weights, torch.full_like(weights, 1 / (2 + EPSILON)))
 
 
-def test_a_single_region_is_plain_alpha_blending():
-    mask = masks(1)
-    expected = mask[0, :, None] * RECOLORED[0] + (1 - mask[0, :, None]) * IMAGE
-    assert torch.allclose(
-        blend_regions(IMAGE, RECOLORED[:1], mask), expected, atol=1e-12
-    )
-
-
 def test_pixels_no_mask_touches_are_bit_equal():
     given = masks(3)
     given[..., :2] = 0
@@ -272,12 +251,8 @@ def test_weights_are_shares_that_sum_to_at_most_one(values):
     assert (weights >= 0).all() and weights.sum() <= 1 + 1e-12
     if sum(values) > 1:
         assert weights.sum() > 1 - 2e-6
-
-
-def test_the_order_of_regions_does_not_matter():
-    given = masks(3)
-    flipped = blend_regions(IMAGE, RECOLORED.flip(0), given.flip(0))
-    assert torch.allclose(flipped, blend_regions(IMAGE, RECOLORED, given), atol=1e-12)
+    else:  # a soft edge stays soft
+        assert weights.flatten().tolist() == values
 
 
 def _square(size: int) -> torch.Tensor:

@@ -90,15 +90,6 @@ def test_every_region_has_one_transform_for_all_views():
         assert torch.allclose(pictures[index], expected, atol=1e-6)
 
 
-def test_pixels_outside_every_region_keep_their_exact_value():
-    found, recipe = _recipe()
-    pictures = carry_out(IMAGES, found.masks, recipe)
-    outside = (found.masks.sum(0) == 0)[recipe.processed][:, None].expand_as(pictures)
-    assert outside.any() and torch.equal(
-        pictures[outside], IMAGES[recipe.processed][outside]
-    )
-
-
 def test_a_recipe_read_back_makes_the_same_pictures(tmp_path):
     found, recipe = _recipe(
         3, SETTINGS.model_copy(update={"mask_jitter": 1.0, "palette_jitter": 1.0})

@@ -9,19 +9,9 @@ from PIL import Image
 
 from edit3r.cli.main import main
 
-FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
-CHEAP = [
-    "--plugin",
-    FLAT,
-    "--recon",
-    "flat",
-    "--rasterizer",
-    "torch",
-    "--fov",
-    "60",
-    "--quiet",
-]
-CHEAP += ["--frames", "2", "--refine", "0"]
+FLAT = Path(__file__).parents[1] / "flat_scene.py"
+PARTS = "--recon flat --rasterizer torch --fov 60 --frames 2 --refine 0 --quiet"
+CHEAP = [f"--plugin={FLAT}", *PARTS.split()]
 SECRET = "sk-very-secret"
 
 

@@ -178,14 +178,17 @@ def tiny_sam3_config():
 
 
 SAM_ENCODER = """<ir_version: 8, opset_import: ["" : 17]>
-encoder (float[1, 3, 64, 64] image) => (float[1, 3, 4, 4] embedding) {
-    embedding = AveragePool <kernel_shape = [16, 16], strides = [16, 16]> (image)
+encoder (float[1, 3, 64, 64] image) => (float[1, 3, 16, 16] high_res_feats_0,
+         float[1, 3, 8, 8] high_res_feats_1, float[1, 3, 4, 4] image_embed) {
+    high_res_feats_0 = AveragePool <kernel_shape = [4, 4], strides = [4, 4]> (image)
+    high_res_feats_1 = AveragePool <kernel_shape = [8, 8], strides = [8, 8]> (image)
+    image_embed = AveragePool <kernel_shape = [16, 16], strides = [16, 16]> (image)
 }"""
 # Discs of three sizes around the first point; masks and how good they are are inner values.
 SAM_DECODER = """<ir_version: 8, opset_import: ["" : 17]>
-decoder (float[1, 3, 4, 4] image_embeddings, float[1, n, 2] point_coords,
-         float[1, n] point_labels, float[1, 1, 256, 256] mask_input, float[1] has_mask_input,
-         float[2] orig_im_size) => (float[a, b, c, d] masks) {
+decoder (float[1, 3, 16, 16] high_res_feats_0, float[1, 3, 8, 8] high_res_feats_1,
+         float[1, 3, 4, 4] image_embed, float[1, n, 2] point_coords, float[1, n] point_labels,
+         float[1, 1, 256, 256] mask_input, float[1] has_mask_input) => (float[a, b, c, d] masks) {
     zero = Constant <value = int64[1] {0}> ()
     one = Constant <value = int64[1] {1}> ()
     side = Constant <value = float {4.0}> ()
@@ -219,51 +222,30 @@ decoder (float[1, 3, 4, 4] image_embeddings, float[1, n, 2] point_coords,
 }"""
 
 
-SAM2_ENCODER = """<ir_version: 8, opset_import: ["" : 17]>
-encoder (float[1, 3, 64, 64] image) => (float[1, 3, 16, 16] high_res_feats_0,
-         float[1, 3, 8, 8] high_res_feats_1, float[1, 3, 4, 4] image_embed) {
-    high_res_feats_0 = AveragePool <kernel_shape = [4, 4], strides = [4, 4]> (image)
-    high_res_feats_1 = AveragePool <kernel_shape = [8, 8], strides = [8, 8]> (image)
-    image_embed = AveragePool <kernel_shape = [16, 16], strides = [16, 16]> (image)
-}"""
-SAM2_DECODER = SAM_DECODER.replace(
-    "float[1, 3, 4, 4] image_embeddings",
-    "float[1, 3, 16, 16] high_res_feats_0, float[1, 3, 8, 8] high_res_feats_1, "
-    "float[1, 3, 4, 4] image_embed",
-).replace(",\n         float[2] orig_im_size", "")
-
-
 @pytest.fixture(scope="session")
 def sam_onnx_folder(tmp_path_factory) -> Path:
-    """A SAM that answers with discs around the first click, of a quarter of the real form."""
-    return _as_files(tmp_path_factory.mktemp("minisam"), SAM_ENCODER, SAM_DECODER)
-
-
-@pytest.fixture(scope="session")
-def sam2_onnx_folder(tmp_path_factory) -> Path:
-    """The same as a SAM 2."""
-    return _as_files(tmp_path_factory.mktemp("sam2-onnx"), SAM2_ENCODER, SAM2_DECODER)
-
-
-def _as_files(folder: Path, encoder: str, decoder: str) -> Path:
+    """A SAM 2 that answers with discs around the first click, of a smaller form."""
+    folder = tmp_path_factory.mktemp("sam2-onnx")
     parser = pytest.importorskip("onnx").parser
-    for name, text in (("encoder", encoder), ("sam", decoder)):
+    for name, text in (("encoder", SAM_ENCODER), ("sam", SAM_DECODER)):
         model = parser.parse_model(text)
         (folder / f"{name}.onnx").write_bytes(model.SerializeToString())
     return folder
 
 
-@pytest.fixture(scope="session")
-def build_sam_onnx(sam_onnx_folder):
+@pytest.fixture
+def sam_onnx_files(sam_onnx_folder, monkeypatch) -> dict[str, str]:
+    """Its settings, where the segmenter expects that form."""
+    monkeypatch.setattr("edit3r_segmenters.sam_onnx.SIDE", 64)
+    monkeypatch.setattr("edit3r_segmenters.sam_onnx.OUTPUTS", ("logits", "quality"))
+    names = {"encoder": "encoder.onnx", "decoder": "sam.onnx"}
+    return {which: str(sam_onnx_folder / name) for which, name in names.items()}
+
+
+@pytest.fixture
+def build_sam_onnx(sam_onnx_files):
     def build(**settings):
-        given = {
-            "encoder": str(sam_onnx_folder / "encoder.onnx"),
-            "decoder": str(sam_onnx_folder / "sam.onnx"),
-            "image_size": 64,
-            "masks_output": "logits",
-            "quality_output": "quality",
-        }
-        return edit3r.build("segmenter", "sam-onnx", **(given | settings))
+        return edit3r.build("segmenter", "sam-onnx", **(sam_onnx_files | settings))
 
     return build
 
@@ -345,13 +327,10 @@ def build_sam3(sam3_folder):
     """SAM3 with quality bounds off."""
 
     def build(**settings):
-        bounds = {
-            "min_score": 0.0,
-        }
         chosen = {
             "model": str(sam3_folder),
             "local_files_only": True,
-            **bounds,
+            "min_score": 0.0,
             **settings,
         }
         return edit3r.build("segmenter", "sam3", **chosen)

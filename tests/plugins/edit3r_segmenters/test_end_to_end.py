@@ -9,19 +9,9 @@ from PIL import Image
 
 from edit3r.cli.main import main
 
-FLAT = str(Path(__file__).parents[1] / "flat_scene.py")
-CHEAP = [
-    "--plugin",
-    FLAT,
-    "--recon",
-    "flat",
-    "--rasterizer",
-    "torch",
-    "--fov",
-    "60",
-    "--quiet",
-]
-CHEAP += ["--frames", "2", "--refine", "0"]
+FLAT = Path(__file__).parents[1] / "flat_scene.py"
+PARTS = "--recon flat --rasterizer torch --fov 60 --frames 2 --refine 0 --quiet"
+CHEAP = [f"--plugin={FLAT}", *PARTS.split()]
 
 
 @pytest.fixture
@@ -34,17 +24,15 @@ def photos(tmp_path, photo) -> list[str]:
 
 @pytest.fixture
 def sam2(sam2_folder, dino_folder) -> list[str]:
-    settings = [
-        f"model={sam2_folder}",
-        "local_files_only=true",
-        f"detector.model={dino_folder}",
-    ]
-    settings += ["detector.box_threshold=0.0", "detector.local_files_only=true"]
-    return [
-        "--segmenter",
-        "sam2",
-        *(word for setting in settings for word in ("--set", f"segmenter.{setting}")),
-    ]
+    settings = {
+        "model": sam2_folder,
+        "local_files_only": "true",
+        "detector.model": dino_folder,
+        "detector.box_threshold": 0.0,
+        "detector.local_files_only": "true",
+    }
+    given = [f"--set=segmenter.{name}={value}" for name, value in settings.items()]
+    return ["--segmenter", "sam2", *given]
 
 
 def run(photos, out: Path, *flags: str) -> dict:
@@ -79,12 +67,7 @@ def test_an_edit_is_confined_to_words_where_a_segmenter_is_named(
 
 def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
     out = tmp_path / "out"
-    words = [
-        "--set",
-        "segmenter.detector.box_threshold=1.0",
-        "--editor",
-        "mock-diffusion",
-    ]
-    command = ["run", *photos, *CHEAP, *sam2, *words, "--out", str(out)]
+    nothing = "--set segmenter.detector.box_threshold=1.0 --editor mock-diffusion"
+    command = ["run", *photos, *CHEAP, *sam2, *nothing.split(), "--out", str(out)]
     assert main([*command, "--prompt", "paint the bike red"]) == 3
     assert "which is the bike?" in capsys.readouterr().err and not out.exists()

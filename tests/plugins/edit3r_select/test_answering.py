@@ -237,11 +237,6 @@ def test_what_stands_out_lies_where_it_is_salient_and_the_next_is_another_thing(
     assert standing_out(Discs(), image)  # nothing is salient, and there are things
 
 
-def test_a_segmenter_with_one_poor_mask_is_no_surer_than_it_can_tell(image):
-    found = answered(Plain(), image, Marks(positive=(CENTRE,)))
-    assert found.confidence is None and found.candidates[0].area == 1
-
-
 def test_where_nobody_tells_how_good_masks_are_what_is_salient_stands_out(image):
     class Alone(Salient):
         masks = Plain.masks

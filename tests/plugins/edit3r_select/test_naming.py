@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_select.naming import (
-    ALSO,
     SPANS,
     SURER,
     UNCONFIRMED,
@@ -139,12 +138,6 @@ def test_what_no_photo_confirms_is_as_sure_as_the_least(sees, confidence, told):
     ) == (told)
 
 
-def test_found_on_no_photo_what_stands_out_is_a_question():
-    named = looked_up(photos(STILL, [(0.04, 0)], []), Selection(words="horse"))
-    assert rows(named) == {0: 3} and named.confidence <= 0.25
-    assert named.found[0].how == "guess"
-
-
 def test_more_or_less_of_a_named_thing_is_asked_of_the_box_around_it():
     asked = photos(UNKNOWN, [(0.3, 1)])
     named = looked_up(asked, Selection(words="box"))
@@ -167,18 +160,6 @@ def test_candidates_differ_show_something_and_are_three_at_most():
     assert [one.score for one in options] == pytest.approx([0.9, 0.6, 0.5])
     assert [taken_of(options, wanted).number for wanted in (1, 2, 3, 9)] == [1, 2, 3, 3]
     assert len(numbered(0, [(bar(0, 0), 0.5), (bar(0, 0), 0.4)])) == 1
-
-
-def test_all_of_a_plural_are_taken_on_every_photo():
-    first, other = [(0.9, 0), (ALSO, 2), (ALSO - 0.1, 3)], [(0.8, 1)]
-    asked = photos(UNKNOWN, first, other)
-    named = looked_up(asked, Selection(words="horse", several=True))
-    assert named.each and named.confidence == 0.9
-    expected = [thing(1, 0).soft_mask + thing(1, 2).soft_mask, thing(1, 1).soft_mask]
-    for view, mask in enumerate(expected):
-        assert torch.equal(named.found[view].mask, mask)
-    one = looked_up(asked, Selection(words="horse"))
-    assert one.confidence == 0.45, "nothing says which of the two is meant"
 
 
 @pytest.mark.parametrize("side", ["top", "bottom", "left", "right"])

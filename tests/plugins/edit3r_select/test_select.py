@@ -435,20 +435,6 @@ def test_one_of_several_is_found_again_only_as_surely_as_it_was_found():
     assert found.confidence < 0.5 and found.how == ("words", "not found")
 
 
-@pytest.mark.parametrize("rows", [10, 24])
-def test_what_goes_on_beyond_a_side_is_looked_for_on_every_photo(rows):
-    """A sky has pieces that another photo does not show; a thing inside is followed."""
-
-    class Sky(Squares):
-        def words(self, image, text):
-            mask = torch.zeros(24, 32)
-            mask[24 - rows : 20, :30] = 1
-            return (Proposal(mask, 0.9),)
-
-    found = select_masks(IMAGES, Selection(words="sky"), Sky())
-    assert (found.how[1] == "words") == (rows == 24)
-
-
 @pytest.mark.parametrize(("words", "how"), [("box", "words"), ("", "not found")])
 def test_what_was_named_is_named_again_where_it_was_lost(words, how):
     chosen = Selection(words=words, masks={} if words else {0: square(2, 2)})
