@@ -1,12 +1,16 @@
 """Who may talk to the server: requests are checked before the page library sees them."""
 
+import asyncio
 import hmac
 import urllib.parse
+from typing import Any
 
+import h11
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 COOKIE = "edit3r-token"
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -20,6 +24,38 @@ HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
 }
+
+
+PATIENCE = 20.0
+"""[s] that a request may take until its header is there; no figure kept."""
+
+
+class Connection(H11Protocol):
+    """One that is closed where the header of a request does not arrive in time."""
+
+    _late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        if self._late is not None:
+            self._late.cancel()
+
+    def _wait(self) -> None:
+        """Begin to wait where a header is due, however little of it has come; else end it."""
+        is_due = self.conn.their_state is h11.IDLE
+        if is_due and self._late is None:
+            self._late = self.loop.call_later(PATIENCE, self.transport.close)
+        elif not is_due and self._late is not None:
+            self._late.cancel()
+            self._late = None
 
 
 class Guard:

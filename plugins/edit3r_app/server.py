@@ -36,7 +36,7 @@ from edit3r_app.draft import MARK, Draft, read_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
-from edit3r_app.guard import Guard
+from edit3r_app.guard import Connection, Guard
 from edit3r_app.jobs import KINDS, JobsFolder
 from edit3r_app.made_scenes import offered_scenes, photo_of
 from edit3r_app.phone import phone_link
@@ -92,6 +92,7 @@ def serve(
         app,
         host=host,
         port=port,
+        http=Connection,
         ws="none",
         log_level="warning",
         timeout_graceful_shutdown=2,

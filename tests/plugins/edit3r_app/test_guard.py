@@ -5,7 +5,10 @@ app.
 import asyncio
 
 import pytest
-from edit3r_app.guard import COOKIE, Guard
+import uvicorn
+from edit3r_app import guard
+from edit3r_app.guard import COOKIE, Connection, Guard
+from uvicorn.server import ServerState
 
 
 def ask(token=None, path="/", query="", root="", **headers):
@@ -139,3 +142,39 @@ def test_pages_fetch_nothing_from_elsewhere_and_are_shown_in_no_foreign_frame():
         and "base-uri 'none'" in policy
         and "http" not in policy
     )
+
+
+def test_a_header_that_drips_is_not_waited_for(monkeypatch):
+    monkeypatch.setattr(guard, "PATIENCE", 0.2)
+
+    async def app(scope, receive, send):
+        await asyncio.sleep(0.4)  # an answer may take longer than a header
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b"here"})
+
+    async def exchange():
+        config = uvicorn.Config(app, lifespan="off", log_level="critical")
+        listening = await asyncio.get_running_loop().create_server(
+            lambda: Connection(config, ServerState(), {}), "127.0.0.1", 0
+        )
+        place = listening.sockets[0].getsockname()
+
+        async def answer(*parts):
+            reader, writer = await asyncio.open_connection(*place)
+            for part in parts:
+                writer.write(part)
+                await asyncio.sleep(0.1)
+            try:
+                return await asyncio.wait_for(reader.read(4000), 3)
+            except ConnectionError:  # closed while more was sent
+                return b""
+            finally:
+                writer.close()
+
+        dripping = [b"GET / HTTP/1.1\r\n", b"a: b\r\n", b"c: d\r\n", b"e: f\r\n"]
+        return await asyncio.gather(
+            answer(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n"), answer(*dripping)
+        )
+
+    whole, dripped = asyncio.run(exchange())
+    assert b"200" in whole and dripped == b""
