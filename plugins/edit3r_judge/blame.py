@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.verdicts import Label, Part
-from edit3r_judge.signals import fitted_limits, unlike_between
+from edit3r_judge.signals import SIDE, fitted_limits, unlike_between
 from edit3r_judge.skill import SHOWN, skills, unchanged
 
 MOSTLY = 0.5  # share of the photos left as it was, from which the rest is not looked at; by hand
@@ -52,10 +52,13 @@ def beside(scene: SceneToJudge) -> Beside:
     reference, depths = unknown, None
     if scene.reference is not None:
         # neither what refiners nor what the editor did to it is its fault
-        before, same = scene.first_half_way or scene.half_way, unchanged(scene)
+        before = scene.first_half_way or scene.half_way
+        # a run's Gaussians are coarser than its pixels: of a small one half the size is looked at
+        side = min(SIDE, max(scene.edited.image_size) // 2)
+        same = unchanged(scene, side)
         where = same if float(same.float().mean()) > MOSTLY else None
         own, least = (
-            unlike_between(replace(scene, half_way=one), where)
+            unlike_between(replace(scene, half_way=one), where, side)
             for one in (before, scene.reference.half_way)
         )
         reference = [

@@ -20,9 +20,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import EditToJudge, HalfWay, SceneToJudge
+from edit3r.contract.types import Cameras
 from edit3r.kit.compute.colour import linear_to_srgb, rgb_to_lab, srgb_to_linear
 from edit3r.kit.files.configs import read_yaml
-from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import SAME_SURFACE, shared_surface, warp
 
@@ -36,6 +37,8 @@ WIDE = 12  # pixels over which detail is told, and about what was removed, for i
 BIN = 10.0  # difference within which colours are one [CIE Lab]
 LIKE = 0.1  # share of a colour that changed, from which all of it could
 FEW = 30  # pixels below which nothing is told
+MOTION_SAMPLES = 2000  # pixels that tell how a whole picture moves, about
+MOTION_LIMIT = 8.0  # that they may lie off it [pixels]
 
 Maps = Float[Tensor, "view height width"]
 Where = Bool[Tensor, "view height width"]
@@ -326,7 +329,7 @@ def torn(found: Pictures) -> float | None:
     if between is None or not found.confined:
         return None
     photos, masks = (dict(zip(found.views, one)) for one in (found.new, found.inside))
-    unlike = unlike_either(between, photos, masks, 2 * CLEAR, 1)
+    unlike = unlike_either(between, photos, masks, 2 * CLEAR, 1, found.edit.cameras)
     return max((share for _, share in unlike), default=None)
 
 
@@ -346,23 +349,31 @@ def unlike_either(
     masks: Mapping[int, Bool[Tensor, "height width"]],
     wholly: float,
     soft: float,
+    cameras: Cameras | None = None,
+    side: int = SIDE,
 ) -> Iterator[tuple[tuple[int, int], float]]:
     """Pairs of photos, and how much of what is masked looks half-way like neither of the two: 1
-    where colours are off by `wholly` [CIE Lab], over `soft` pixels.
+    where colours are off by `wholly` [CIE Lab], over `soft` pixels of the longer `side`.
 
     Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
-    dissolved is found in none, one that lies a little aside is.
+    dissolved is found in none, one that lies a little aside is. `cameras` of the photos: flow
+    begins with how the picture as a whole moves, since by itself it loses what moves far.
     """
     if between.photos is not None:  # a brighter one would look like another thing
-        in_one_light = lab(between.photos.images[0])
+        in_one_light = lab(between.photos.images[0], side)
         photos = {view: in_one_light[view] for view in photos}
-    for pair, shown in zip(between.pairs, lab(between.rendered.images[0])):
+    pictures = lab(between.rendered.images[0], side)
+    for place, (pair, shown) in enumerate(zip(between.pairs, pictures)):
         if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
             continue
         thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
         for view in pair:
+            start = None
+            if cameras is not None:
+                start = _motion(between, place, cameras, view, size_of(shown))
             picture = (blurred(photos[view], soft), masks[view][None].float())
-            *colour, inside = warp(torch.cat(picture), _found_in(photos[view], shown))
+            grid = _found_in(photos[view], shown, start)
+            *colour, inside = warp(torch.cat(picture), grid)
             unlike = (blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
             off, thing = torch.minimum(off, unlike), torch.maximum(thing, inside)
         if int((thing > 0.5).sum()) >= FEW:
@@ -370,19 +381,23 @@ def unlike_either(
 
 
 def unlike_between(
-    scene: SceneToJudge, where: Bool[Tensor, "view h w"] | None = None
+    scene: SceneToJudge,
+    where: Bool[Tensor, "view h w"] | None = None,
+    side: int = SIDE,
 ) -> list[float | None]:
-    """For each placed photo how much of the view half-way to its nearest looks like neither.
+    """For each placed photo how much of the view half-way to its nearest looks like neither, seen
+    with `side` pixels on the longer side.
 
-    `where`: of what the photos show there alone, as small as critics look; None: everywhere.
+    `where`: of what the photos show there alone, of that size; None: everywhere.
     """
-    photos = dict(enumerate(lab(scene.edited.images[0])))
+    photos = dict(enumerate(lab(scene.edited.images[0], side)))
     shares: list[float | None] = [None] * len(photos)
     if scene.half_way is not None:
         masks = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
         if where is not None:
             masks = dict(enumerate(where))
-        for pair, share in unlike_either(scene.half_way, photos, masks, CLEAR, 2):
+        unlike = unlike_either(scene.half_way, photos, masks, CLEAR, 2, side=side)
+        for pair, share in unlike:
             for view in pair:
                 shares[view] = max(shares[view] or 0.0, share)
     return shares
@@ -407,18 +422,22 @@ def _region(found: Pictures, number: int) -> Where:
     return small(found.edit.regions[number, 0, found.views]) > 0.5
 
 
-def small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
-    """Maps with `SIDE` pixels on the longer side, at most, on the CPU."""
+def small(
+    maps: Float[Tensor, "*batch height width"], side: int = SIDE
+) -> Float[Tensor, "*batch h w"]:
+    """Maps with `side` pixels on the longer side, at most, on the CPU."""
     height, width = maps.shape[-2:]
-    scale = min(1.0, SIDE / max(height, width))
+    scale = min(1.0, side / max(height, width))
     size = (round(scale * height), round(scale * width))
     flat = maps.reshape(-1, 1, height, width).cpu()
     return F.adaptive_avg_pool2d(flat, size).view(*maps.shape[:-2], *size)
 
 
-def lab(images: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 h w"]:
-    """In CIE Lab, `SIDE` pixels at most."""
-    return rgb_to_lab(small(images).clamp(0, 1))
+def lab(
+    images: Float[Tensor, "view 3 height width"], side: int = SIDE
+) -> Float[Tensor, "view 3 h w"]:
+    """In CIE Lab, `side` pixels at most."""
+    return rgb_to_lab(small(images, side).clamp(0, 1))
 
 
 def _lab_of(rgb: tuple[float, float, float]) -> Float[Tensor, "3"]:
@@ -460,13 +479,47 @@ def blurred(maps: Tensor, pixels: float = 2) -> Tensor:
     return torch.from_numpy(np.stack(smooth)).view(maps.shape)
 
 
-def _found_in(picture: Picture, other: Picture) -> Float[Tensor, "height width 2"]:
-    """Where in a picture each pixel of the other lies, normalised: DIS, Kroeger et al. 2016."""
+def _found_in(
+    picture: Picture, other: Picture, start: np.ndarray | None
+) -> Float[Tensor, "height width 2"]:
+    """Where in a picture each pixel of the other lies, normalised: DIS, Kroeger et al. 2016, from
+    the flow `start` [pixels] on.
+    """
     light = [(2.55 * one[0]).byte().numpy() for one in (other, picture)]
     engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    flow = torch.from_numpy(engine.calc(*light, None))  # type: ignore[call-overload]
+    flow = torch.from_numpy(engine.calc(*light, start))  # type: ignore[call-overload]
     size = size_of(picture)
     return pixel_grid(size, flow) + flow / flow.new_tensor(size[::-1])
+
+
+def _motion(
+    between: HalfWay, place: int, cameras: Cameras, view: int, size: tuple[int, int]
+) -> Float[np.ndarray, "height width 2"] | None:
+    """Flow of the whole picture from half-way into a photo [pixels], by the homography that is
+    nearest to the scene's depths: of what is torn or dissolved it knows nothing. None: there is
+    none.
+    """
+    eye, depths = between.cameras, between.rendered.depths[:, [place], 0]
+    points = unproject(depths, eye.intrinsics[:, [place]], eye.c2w[:, [place]])
+    there, z = project(
+        points.flatten(1, 3), cameras.intrinsics[:, view], cameras.c2w[:, view]
+    )
+    shown = between.rendered.alphas[0, place, 0].flatten() > 0.5
+    kept = shown & (z[0] > 0) & (there[0] > -1).all(-1) & (there[0] < 2).all(-1)
+    if int(kept.sum()) < FEW:
+        return None
+    sides = torch.tensor(size[::-1], dtype=torch.float64)
+    here = pixel_grid(size_of(depths), depths).flatten(0, 1)
+    step = len(here) // MOTION_SAMPLES + 1
+    pairs = [(one[kept][::step].cpu() * sides).numpy() for one in (here, there[0])]
+    cv2.setRNGSeed(0)
+    matrix, _ = cv2.findHomography(*pairs, cv2.RANSAC, MOTION_LIMIT)
+    if matrix is None:
+        return None
+    pixels = (pixel_grid(size, sides) * sides).numpy()
+    moved = cv2.perspectiveTransform(pixels.reshape(-1, 1, 2), matrix)
+    flow = (moved.reshape(pixels.shape) - pixels).astype(np.float32)
+    return flow if np.abs(flow).max() < 2 * max(size) else None
 
 
 def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:

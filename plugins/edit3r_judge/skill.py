@@ -29,7 +29,7 @@ from edit3r.kit.geometry.cameras import (
 from edit3r.kit.geometry.exposure import estimate_exposure
 from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import warp
-from edit3r_judge.signals import blurred, lab, small
+from edit3r_judge.signals import SIDE, blurred, lab, small
 
 # The numbers of this block: chosen by hand before any limit was fitted (docs/notes/verdict.md).
 MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
@@ -167,11 +167,11 @@ class _Photos:
         return float(off[where].mean())
 
 
-def unchanged(scene: SceneToJudge) -> Bool[Tensor, "view h w"]:
-    """Pixels of the placed photos that the edit left as they were, as small as critics look."""
+def unchanged(scene: SceneToJudge, side: int = SIDE) -> Bool[Tensor, "view h w"]:
+    """Pixels of the placed photos that the edit left as they were, `side` on the longer side."""
     photos = scene.photos.images[0, list(scene.placed)]
     changed = (scene.edited.images[0] - photos).abs().amax(1, keepdim=True)
-    return (small(changed) < KEPT)[:, 0]
+    return (small(changed, side) < KEPT)[:, 0]
 
 
 def _in_one_light(
