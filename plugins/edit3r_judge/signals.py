@@ -297,6 +297,30 @@ def closed(found: Pictures) -> float | None:
 
 
 @signal(
+    "what stands in its place is a guess: it was large, and no photo shows what was behind it "
+    "(photos that do, a smaller part, or another --editor)",
+    in_scene=True,
+)
+def invented(found: Pictures) -> float | None:
+    """How hard it is to guess what was behind what is removed: how varied its surroundings are (a
+    share of the range of CIE Lab), times how far the middle of what no other photo shows lies from
+    what one does (a share of the longer side). The worst photo counts.
+    """
+    if not found.removes or found.shown is None:
+        return None
+    figures = []
+    around = _grown(found.inside, WIDE) & ~_grown(found.inside, BAND)
+    coarse = blurred(found.old, WIDE / 2) / 100
+    for colours, hidden, beside in zip(coarse, _nowhere_shown(found), around):
+        if min(int(hidden.sum()), int(beside.sum())) < FEW:
+            continue
+        varied = colours[:, beside].var(1).sum().sqrt()
+        middle = cv2.distanceTransform(hidden.byte().numpy(), cv2.DIST_L2, 5).max()
+        figures.append(float(varied) * float(middle) / max(hidden.shape))
+    return max(figures, default=None)
+
+
+@signal(
     "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
     in_scene=True,
 )
@@ -415,6 +439,22 @@ def faults_of(
     return found
 
 
+def _nowhere_shown(found: Pictures) -> Where:
+    """What is selected, but for what another photo shows, as the scene's depths tell."""
+    edit, cameras = found.edit, found.edit.cameras
+    hidden = found.inside.clone()
+    if cameras is None or edit.rendered is None:
+        return hidden
+    depths = small(edit.rendered.depths[0, found.views, 0])
+    for pair in map(list, permutations(range(len(hidden)), 2)):
+        used = [found.views[one] for one in pair]
+        lenses, poses = cameras.intrinsics[0, used].cpu(), cameras.c2w[0, used].cpu()
+        grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
+        there = warp(found.inside[pair[1]].float()[None], grid, padding="zeros")[0]
+        hidden[pair[0]] &= ~seen | (there > 0.5)
+    return hidden
+
+
 def _region(found: Pictures, number: int) -> Where:
     """Where an instruction applies."""
     if found.edit.regions is None:
@@ -511,9 +551,11 @@ def _motion(
     sides = torch.tensor(size[::-1], dtype=torch.float64)
     here = pixel_grid(size_of(depths), depths).flatten(0, 1)
     step = len(here) // MOTION_SAMPLES + 1
-    pairs = [(one[kept][::step].cpu() * sides).numpy() for one in (here, there[0])]
+    first, second = (
+        (one[kept][::step].cpu() * sides).numpy() for one in (here, there[0])
+    )
     cv2.setRNGSeed(0)
-    matrix, _ = cv2.findHomography(*pairs, cv2.RANSAC, MOTION_LIMIT)
+    matrix, _ = cv2.findHomography(first, second, cv2.RANSAC, MOTION_LIMIT)
     if matrix is None:
         return None
     pixels = (pixel_grid(size, sides) * sides).numpy()

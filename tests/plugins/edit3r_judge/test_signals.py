@@ -167,6 +167,20 @@ def smeared(edit):
     )
 
 
+def guessed(edit):
+    """A large thing before a colourful wall, in whose place stands more of such a wall."""
+    random = torch.Generator().manual_seed(0)
+    blocks = torch.rand(2, 2, 3, 12, 12, generator=random).repeat_interleave(8, 3)
+    wall, other = blocks.repeat_interleave(8, 4)
+    masks = torch.zeros(2, SIZE, SIZE)
+    masks[:, 16:80, 16:80] = 1
+    after = views(torch.where(masks[:, None] > 0, other, wall))
+    given = {"masks": masks[None], "regions": masks[None, None]}
+    return judged(
+        edit, before=views(wall), after=after, instructions=(REMOVE,), **given
+    )
+
+
 def grey(edit):
     mean = edit.before.images.mean(2, keepdim=True).expand_as(edit.before.images)
     return judged(edit, after=views(mean[0]), instructions=(GREYSCALE,))
@@ -187,10 +201,10 @@ def half_in_3d(edit):
     return replace(edit, rendered=replace(edit.rendered, images=images))
 
 
-def from_half_way(edit, images):
+def from_half_way(edit, images, shift=SHIFT):
     """The edit with what its scene shows from half-way between the photos."""
     pose = edit.cameras.c2w[:, :1].clone()
-    pose[0, 0, 0, 3] = SHIFT / SIZE * DEPTH / 2
+    pose[0, 0, 0, 3] = shift / SIZE * DEPTH / 2
     cameras = Cameras(pose, edit.cameras.intrinsics[:, :1], (SIZE, SIZE))
     depths = torch.full((1, 1, 1, SIZE, SIZE), DEPTH)
     shown = Rendering(images[None], torch.ones_like(depths), depths)
@@ -207,6 +221,32 @@ def torn_half_way(edit):
     images = whole_half_way(edit).half_way.rendered.images[0].clone()
     images[..., 42:55, :] = 0.4
     return from_half_way(edit, images)
+
+
+def test_what_moves_far_is_found_half_way(good):
+    """Of a pair whose photos share half of what they show, flow alone finds little."""
+    random = torch.Generator().manual_seed(3)
+    wall = torch.rand(1, 3, SIZE // 4, SIZE, generator=random)
+    wall = wall.repeat_interleave(4, 2).repeat_interleave(4, 3)  # four photos wide
+    far = SIZE // 2
+    photos = torch.cat([wall[..., left : left + SIZE] for left in (60, 60 + far)])
+    masks = torch.stack([square(48), torch.roll(square(48), -far, 1)])
+    masks[1, :, far:] = 0
+    between = wall[..., 60 + far // 2 : 60 + far // 2 + SIZE]
+    c2w = good.cameras.c2w.clone()
+    c2w[0, 1, 0, 3] = far / SIZE * DEPTH
+    edit = replace(
+        good,
+        before=views(photos),
+        after=views(photos),
+        masks=masks[None],
+        regions=masks[None, None],
+        cameras=replace(good.cameras, c2w=c2w),
+    )
+    edit = from_half_way(edit, between, far)
+    assert measured(edit)["torn"] < fitted_limits("edit")["torn"] / 2
+    undirected = replace(edit, cameras=None)
+    assert measured(undirected)["torn"] > fitted_limits("edit")["torn"]
 
 
 def test_half_way_is_compared_in_the_light_that_the_scene_has(good):
@@ -231,6 +271,7 @@ FAULTS = {
     "as_asked": another_colour,
     "rim": with_rim,
     "closed": ghost,
+    "invented": guessed,
     "missed": half_in_3d,
     "torn": torn_half_way,
 }
@@ -259,12 +300,24 @@ def test_a_made_fault_is_named(good, name, spoilt):
     json.dumps(verdict.measures, allow_nan=False)
 
 
+def test_what_another_photo_shows_is_not_invented(good):
+    bad = guessed(good)
+    alone = bad.masks.clone()
+    alone[:, 1] = 0
+    seen = replace(bad, masks=alone, regions=alone[None])
+    assert measured(seen)["invented"] is None
+    before_any_scene = replace(bad, rendered=None, cameras=None)
+    assert measured(before_any_scene)["invented"] is None
+
+
 def test_what_tears_half_way_is_named_though_the_photos_show_it(good):
     bad = measured(torn_half_way(good))
     assert bad["missed"] == 0
     assert list(faults_of(bad, fitted_limits("edit"))) == ["torn"]
     aside = over(torch.full((1, 3, SIZE, SIZE), 0.4), RED, square(LEFTS[0] - 3)[None])
-    assert measured(from_half_way(good, aside))["torn"] < 0.1
+    assert (
+        measured(from_half_way(good, aside))["torn"] < fitted_limits("edit")["torn"] / 2
+    )
     whole = replace(torn_half_way(good), masks=None, regions=None)
     # of a whole picture it is the scene's matter
     assert measured(whole)["torn"] is None
