@@ -12,9 +12,9 @@ from statistics import fmean
 
 import numpy as np
 import torch
-from edit3r_diffusers.consistency import disagreement
 from edit3r_editors.retouch import behind, inpainted, smoothed
 from harness import Row, run_benchmark
+from likeness import disagreement
 
 import edit3r
 from edit3r.contract.errors import MatchingError
@@ -60,7 +60,7 @@ def looks() -> None:
 
     A line a look, means over the pairs: how much the photos change (mean absolute difference, sRGB
     in [0, 1]), by how much the changes of the same spots differ between the two photos (the
-    disagreement that `run.json` notes for editors of diffusers), the ratio, and processor seconds
+    `disagreement` of likeness.py), the ratio, and processor seconds
     for one photo. `night to winter` stands for views that got different looks: what the measure
     says of edits that do not agree at all.
     """

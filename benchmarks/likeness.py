@@ -9,14 +9,20 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import torch
+from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
+from torch import Tensor
 
 import edit3r
 from edit3r.kit.compute.lpips import lpips_distance
 from edit3r.kit.compute.metrics import Image, psnr, ssim
+from edit3r.kit.photos.images import to_bytes
 
+FEWEST_MATCHES = 12
+PATCH = 5  # pixels that colours are averaged over, so that a match may be off by one
 FINE = 1.0  # detail is what a Gaussian blur of so many pixels takes away
 
 
@@ -112,3 +118,48 @@ def drawn(result: edit3r.RunResult, camera: edit3r.Cameras) -> np.ndarray:
 
 def as_numpy(views: edit3r.Views, view: int) -> np.ndarray:
     return views.images[0, view].permute(1, 2, 0).numpy()
+
+
+def disagreement(
+    photos: Float[Tensor, "view 3 height width"],
+    edited: Float[Tensor, "view 3 height width"],
+) -> float | None:
+    """How differently the edits changed what view 0 and another view both show [sRGB]; 0: alike.
+
+    The same spots are found by SIFT matches between the unedited photos that agree with one
+    epipolar geometry (MAGSAC), so a wrong edit cannot hide in them; there, the two changes of
+    colour are compared (mean absolute difference over matches, channels and views). None where too
+    few spots are found.
+    """
+    change = (edited - photos).detach().float().cpu().permute(0, 2, 3, 1).numpy()
+    grey = [cv2.cvtColor(to_bytes(photo), cv2.COLOR_RGB2GRAY) for photo in photos]
+    smooth = [cv2.blur(np.ascontiguousarray(image), (PATCH, PATCH)) for image in change]
+    sift = cv2.SIFT.create()
+    points, described = zip(*(sift.detectAndCompute(image, None) for image in grey))
+    differences = []
+    for other in range(1, len(photos)):
+        spots = _matched(points[0], described[0], points[other], described[other])
+        if len(spots) >= FEWEST_MATCHES:
+            (x, y), (x2, y2) = spots.round().astype(int).transpose(1, 2, 0)
+            differences.append(np.abs(smooth[0][y, x] - smooth[other][y2, x2]).mean())
+    return float(np.mean(differences)) if differences else None
+
+
+def _matched(
+    points0, described0, points1, described1
+) -> Float[np.ndarray, "match 2 2"]:
+    """Pixels of mutual nearest descriptors on one fundamental matrix; empty where few are."""
+    if described0 is None or described1 is None:
+        return np.zeros((0, 2, 2))
+    matches = cv2.BFMatcher(crossCheck=True).match(described0, described1)
+    pairs = [(points0[m.queryIdx].pt, points1[m.trainIdx].pt) for m in matches]
+    spots = np.array(pairs).reshape(-1, 2, 2)
+    if len(spots) < FEWEST_MATCHES:
+        return spots
+    try:
+        _, kept = cv2.findFundamentalMat(
+            spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000
+        )
+    except cv2.error:  # matches of which no geometry can be computed
+        kept = None
+    return spots[kept.ravel().astype(bool)] if kept is not None else spots[:0]

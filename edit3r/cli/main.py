@@ -12,7 +12,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, NoReturn
 
 from edit3r.contract.component import Component
-from edit3r.contract.errors import Edit3rError, as_known, suggest
+from edit3r.contract.errors import Edit3rError, as_known, did_you_mean
 from edit3r.kit.files.names import require_there
 from edit3r.kit.files.text import printable
 from edit3r.version import __version__
@@ -59,10 +59,10 @@ class Parser(argparse.ArgumentParser):
         hint = ""
         if unknown := re.match("unrecognized arguments: ([^ =]*)", message):
             options = [one for action in self._actions for one in action.option_strings]
-            hint = suggest(unknown[1], options)
+            hint = did_you_mean(unknown[1], options)
         if wrong := re.search("invalid choice: '([^']*)'", message):
             choices = [one for action in self._actions for one in action.choices or ()]
-            hint = suggest(wrong[1], map(str, choices))
+            hint = did_you_mean(wrong[1], map(str, choices))
         raise UsageError(f"{message}.{hint} See '{self.prog} --help'.")
 
 
@@ -167,7 +167,7 @@ def find_command(name: str) -> "Command":
     known = [*commands, *(offer.component.name for offer in registry.offers("command"))]
     if name not in known and ":" not in name:
         raise UsageError(
-            f"no command {name!r}.{suggest(name, known)} Commands: "
+            f"no command {name!r}.{did_you_mean(name, known)} Commands: "
             f"{', '.join(sorted(known))}.{registry.failed()}"
         )
     return registry.build("command", name)

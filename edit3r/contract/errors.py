@@ -77,7 +77,7 @@ def one_line(reason: object, most: int = 300) -> str:
     return said or type(reason).__name__
 
 
-def suggest(given: str, known: Iterable[str]) -> str:
+def did_you_mean(given: str, known: Iterable[str]) -> str:
     """' Did you mean X?' for a near miss, else ''."""
     near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)
     return f" Did you mean {near[0]!r}?" if near else ""

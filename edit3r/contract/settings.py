@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.config import JsonDict
 from pydantic.fields import FieldInfo
 
-from edit3r.contract.errors import SettingsError, suggest
+from edit3r.contract.errors import SettingsError, did_you_mean
 
 SettingsType = TypeVar("SettingsType", bound="Settings")
 
@@ -169,7 +169,7 @@ def _sentence(error: ValidationError, cls: type[Settings], where: str) -> str:
     key = ".".join([where, *(str(part)[:60] for part in first["loc"])])
     if first["type"] == "extra_forbidden":
         known = sorted(cls.model_fields)
-        hint = suggest(str(first["loc"][-1]), known)
+        hint = did_you_mean(str(first["loc"][-1]), known)
         listed = ", ".join(known) or "none"
         return f"{key}: unknown setting.{hint} Known settings of {where}: {listed}."
     message = first["msg"].removeprefix("Value error, ").rstrip(".")

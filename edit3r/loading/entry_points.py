@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from edit3r.contract.errors import InputError, suggest
+from edit3r.contract.errors import InputError, did_you_mean
 from edit3r.version import __version__
 
 GROUP = "edit3r"
@@ -213,8 +213,8 @@ def _chosen(entries: list[PluginEntry]) -> list[PluginEntry]:
         if name != "none" and name.removeprefix("-") not in known:
             raise InputError(
                 f"{CHOICE}={os.environ[CHOICE]}: no plugin {name.removeprefix('-')!r} is "
-                f"installed.{suggest(name.removeprefix('-'), sorted(known))} Give 'none', names of "
-                "plugins to load, or names with a dash before them to leave out."
+                f"installed.{did_you_mean(name.removeprefix('-'), sorted(known))} Give 'none', "
+                "names of plugins to load, or names with a dash before them to leave out."
             )
     off = {one[1:] for one in wanted if one.startswith("-")}
     on = {one for one in wanted if not one.startswith("-")}

@@ -19,7 +19,7 @@ import pluggy
 
 from edit3r.contract import hookspecs
 from edit3r.contract.component import KINDS, Component, Offer, hook_name
-from edit3r.contract.errors import InputError, one_line, suggest
+from edit3r.contract.errors import InputError, did_you_mean, one_line
 from edit3r.loading.entry_points import GROUP, PluginFailure, installed
 
 
@@ -182,7 +182,7 @@ def _refuse_unknown_hooks(manager: pluggy.PluginManager, module: ModuleType) -> 
     for attribute in dir(module):
         marked = manager.parse_hookimpl_opts(module, attribute) is not None
         if attribute not in known and (marked or attribute.startswith("register_")):
-            meant = suggest(attribute, known)
+            meant = did_you_mean(attribute, known)
             if marked or meant:
                 raise ValueError(f"{attribute!r} is not an edit3r hook.{meant}")
         if attribute in known and not marked:

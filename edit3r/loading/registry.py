@@ -21,9 +21,9 @@ from edit3r.contract.errors import (
     MissingDependencyError,
     PluginError,
     UnknownComponentError,
+    did_you_mean,
     is_out_of_memory,
     one_line,
-    suggest,
 )
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice, Settings, make_settings
@@ -60,7 +60,7 @@ class Registry:
         """Offers of one kind (all kinds by default), sorted by kind, name and plugin."""
         if kind not in (None, *KINDS):
             raise UnknownComponentError(
-                f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}."
+                f"no kind {kind!r}.{did_you_mean(kind, KINDS)} Kinds: {', '.join(KINDS)}."
             )
         chosen = [offer for offer in self.plugins.offers if kind in (None, offer.kind)]
         return sorted(
@@ -117,7 +117,8 @@ class Registry:
             )
         listed = ", ".join(dict.fromkeys(known))
         raise UnknownComponentError(
-            f"no {kind} named {name!r}.{suggest(name, known)} Installed: {listed}.{self.failed()}"
+            f"no {kind} named {name!r}.{did_you_mean(name, known)} Installed: {listed}."
+            f"{self.failed()}"
         )
 
     def failed(self) -> str:

@@ -22,9 +22,10 @@ from edit3r.running.records import (
     SelectedRegions,
 )
 from edit3r.running.result import RunResult
+from edit3r.running.steps.correct_exposure import correct_exposure
 from edit3r.running.steps.edit import edit, edit_alone
 from edit3r.running.steps.judge import judge
-from edit3r.running.steps.locate import correct_exposure, locate
+from edit3r.running.steps.locate import locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from edit3r import Registry
-from edit3r.contract.errors import Edit3rError, InputError, SettingsError, suggest
+from edit3r.contract.errors import Edit3rError, InputError, SettingsError, did_you_mean
 from edit3r.contract.reporting import progress
 from edit3r.contract.settings import make_settings, merge, of_file
 from edit3r.kit.files.names import unique_names
@@ -144,7 +144,7 @@ def _content(line: bytes) -> dict[str, Any]:
     known = [*KEYS, *RunConfig.model_fields]
     for key in content:
         if key not in known:
-            hint = suggest(key, known)
+            hint = did_you_mean(key, known)
             listed = ", ".join(known)
             raise SettingsError(
                 f"{key[:60]!r} is no key of a job.{hint} Keys: {listed}."

@@ -122,7 +122,7 @@ class ClipSimilarity:
         return F.normalize(self.model.text_projection(read), dim=-1)
 
 
-def direction_similarity(
+def directional_similarity(
     clip: ClipSimilarity,
     before: Images,
     after: Images,

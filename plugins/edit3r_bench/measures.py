@@ -26,7 +26,7 @@ from edit3r_bench.features import (
     FeatureNetwork,
     InceptionFeatures,
     crops,
-    direction_similarity,
+    directional_similarity,
 )
 from edit3r_bench.item import MethodOutput
 from edit3r_bench.manifest import Images, LoadedItem
@@ -227,7 +227,7 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
     values = {"clip-t2i": float(clip(images, [after]).mean())}
     if before:
         photos = item.photos.images[0]
-        moved = direction_similarity(clip, photos, images, before, after)
+        moved = directional_similarity(clip, photos, images, before, after)
         values["clip-direction"] = float(moved.mean())
     return values
 

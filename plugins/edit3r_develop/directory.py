@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import Field, field_validator
 
 from edit3r.contract.component import KINDS
-from edit3r.contract.errors import suggest
+from edit3r.contract.errors import did_you_mean
 from edit3r.contract.settings import Count, Settings, make_settings
 from edit3r.kit.files.configs import read_yaml
 
@@ -39,7 +39,7 @@ class Listed(Settings):
     def _of_known_kinds(cls, value: dict[str, tuple[str, ...]]) -> dict:
         for kind in value:
             if kind not in KINDS:
-                raise ValueError(f"no kind {kind!r}.{suggest(kind, KINDS)}")
+                raise ValueError(f"no kind {kind!r}.{did_you_mean(kind, KINDS)}")
         return value
 
     @property

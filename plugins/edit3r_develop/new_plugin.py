@@ -17,7 +17,7 @@ from typing import Any
 from edit3r import __version__
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS, hook_name
-from edit3r.contract.errors import InputError, suggest
+from edit3r.contract.errors import InputError, did_you_mean
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.kit.files.configs import read_yaml
 
@@ -67,7 +67,7 @@ def new_package(kind: str, name: str, parent: Path) -> Path:
     """Write the package into a new folder in `parent`; nothing that exists is touched."""
     if kind not in KINDS:
         raise InputError(
-            f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}."
+            f"no kind {kind!r}.{did_you_mean(kind, KINDS)} Kinds: {', '.join(KINDS)}."
         )
     check_name(name)
     folder = parent / f"edit3r-{name}"

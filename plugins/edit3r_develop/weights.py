@@ -70,11 +70,11 @@ class WeightsCommand(Command):
 
 def _named(name: str, known: Mapping[str, "Weights"]) -> "Weights":
     """The weights called `name`. Raises InputError where no installed component declares them."""
-    from edit3r.contract.errors import InputError, suggest
+    from edit3r.contract.errors import InputError, did_you_mean
 
     if name not in known:
         raise InputError(
-            f"no weights named {name!r}.{suggest(name, known)} See: edit3r weights list"
+            f"no weights named {name!r}.{did_you_mean(name, known)} See: edit3r weights list"
         )
     return known[name]
 

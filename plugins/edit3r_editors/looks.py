@@ -24,7 +24,7 @@ from pydantic import Field
 from torch import Tensor
 
 import edit3r
-from edit3r.contract.errors import PromptError, suggest
+from edit3r.contract.errors import PromptError, did_you_mean
 from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Editor, EditsRegions, HidesThings
 from edit3r.contract.reporting import say
@@ -324,7 +324,9 @@ class LooksEditor(Editor, EditsRegions, HidesThings):
             name = self.settings.look or look_of(instruction)
             if not name:
                 listed = ", ".join(LOOKS)
-                hint = suggest(instruction.look, BY_WORD) if instruction.look else ""
+                hint = (
+                    did_you_mean(instruction.look, BY_WORD) if instruction.look else ""
+                )
                 raise PromptError(
                     f"{instruction.text!r} names no look that the editor looks knows.{hint} Looks "
                     f"are {listed}."

@@ -30,7 +30,7 @@ Colours = Float[Tensor, "gaussian 3"]
 Pictures = Float[Tensor, "camera 3 height width"]
 
 
-def solved(
+def solve_colours(
     gaussians: Gaussians,
     cameras: Cameras,
     change: Pictures,

@@ -29,7 +29,7 @@ from edit3r.contract.types import (
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.scenes.scene_views import SceneGeometry
 from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
-from edit3r_in_place.colours import bounded, repainted, shine_of, solved
+from edit3r_in_place.colours import bounded, repainted, shine_of, solve_colours
 from edit3r_in_place.filling import filled
 
 LEAST = 1 / 255  # change of a picture [sRGB] that counts
@@ -133,7 +133,7 @@ class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromS
         change = change * inside[:, None]
         chosen = self._chosen(scene, inside.to(change))
         gaussians, cameras = scene.gaussians, scene.cameras
-        added = solved(gaussians, cameras, change, chosen, self.rasterizer)
+        added = solve_colours(gaussians, cameras, change, chosen, self.rasterizer)
         added = bounded(dc_to_colour(gaussians.harmonics[0, :, 0]), added)
         edited = repainted(gaussians, chosen, added)
         if gaussians.degree > 0:

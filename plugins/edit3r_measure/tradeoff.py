@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from edit3r.contract.command import Command
-from edit3r.contract.errors import SettingsError, suggest
+from edit3r.contract.errors import SettingsError, did_you_mean
 from edit3r.contract.settings import Settings, make_settings, merge, of_file
 from edit3r.kit.command.flags import add_common, add_trust_flag
 from edit3r.kit.command.results import alone_in, shown_stages, write_text
@@ -40,7 +40,7 @@ class TradeoffPlan(Settings):
         for label in labels or self.points:
             if label not in self.points:
                 raise SettingsError(
-                    f"--only {label}: no such point.{suggest(label, self.points)} "
+                    f"--only {label}: no such point.{did_you_mean(label, self.points)} "
                     f"Points: {', '.join(self.points)}."
                 )
             settings[label] = merge(self.base, self.points[label])

@@ -114,7 +114,7 @@ def _project_group(staged, camera, limits):
     rotation = maths.rotation_matrix(a, b, c, d)
     rows = maths.image_rows(camera, u, v, per_z)
     s0, s1, s2 = maths.staged_scales(staged)
-    m0, m1, m2, n0, n1, n2 = maths.covariance_rows(rows, rotation)
+    m0, m1, m2, n0, n1, n2 = maths.jacobian_rotation_rows(rows, rotation)
     a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
     x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = maths.factorised_conic(
         a0, a1, a2, b0, b1, b2, eps2d

@@ -122,7 +122,7 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
     j0, j1, j2, k0, k1, k2 = rows
     s0, s1, s2 = maths.staged_scales(staged)
     # Rows of the covariance's factor J R diag(s): before scaling m and n, after it a and b.
-    m0, m1, m2, n0, n1, n2 = maths.covariance_rows(rows, rotation)
+    m0, m1, m2, n0, n1, n2 = maths.jacobian_rotation_rows(rows, rotation)
     a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
     x_per_y, inv_std_x, inv_std_y, _, _ = maths.factorised_conic(
         a0, a1, a2, b0, b1, b2, eps2d

@@ -106,7 +106,7 @@ def staged_scales(staged):
 
 
 @inlined
-def covariance_rows(rows, rotation):
+def jacobian_rotation_rows(rows, rotation):
     """Return the rows of J R: the Jacobian's two `rows` times the rotation matrix."""
     j0, j1, j2, k0, k1, k2 = rows
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation

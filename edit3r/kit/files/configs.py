@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from edit3r.contract.errors import InputError, SettingsError, one_line, suggest
+from edit3r.contract.errors import InputError, SettingsError, did_you_mean, one_line
 from edit3r.contract.settings import merge, of_file, shortened
 
 
@@ -40,8 +40,8 @@ def find_config(name: str) -> Path:
         return shipped[name]
     listed = ", ".join(shipped) or "none"
     raise InputError(
-        f"{name}: neither a file nor a shipped configuration.{suggest(name, shipped)} Shipped: "
-        f"{listed}."
+        f"{name}: neither a file nor a shipped configuration."
+        f"{did_you_mean(name, shipped)} Shipped: {listed}."
     )
 
 

@@ -8,23 +8,10 @@ from edit3r.contract.interfaces import Geometry, MatchesCorrected
 from edit3r.contract.reporting import note, say, stage
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
-from edit3r.kit.geometry.exposure import (
-    Exposure,
-    ExposureOfEdit,
-    estimate_exposure,
-    exposure_of_edit,
-)
+from edit3r.kit.geometry.exposure import Exposure, estimate_exposure
 from edit3r.running.components import Components
 from edit3r.running.geometry import GeometryAnswer, find_geometry, lies_flat
-from edit3r.running.records import (
-    READ_LENS,
-    EditedPhotos,
-    ExposureCorrected,
-    Inputs,
-    Located,
-    SelectedRegions,
-    is_confined,
-)
+from edit3r.running.records import READ_LENS, Inputs, Located
 
 
 @torch.no_grad()
@@ -49,41 +36,6 @@ def locate(inputs: Inputs, components: Components) -> tuple[Inputs, Located]:
             shown = replace(photos, images=exposure.to_reference(photos.images))
             corrected = find_geometry(source, photos, shown).required()
         return inputs, Located(answer, corrected, flat, fov_range, exposure)
-
-
-@torch.no_grad()
-def correct_exposure(
-    inputs: Inputs,
-    located: Located,
-    selection: SelectedRegions,
-    edit: EditedPhotos,
-    components: Components,
-) -> ExposureCorrected:
-    """The photos before and after the edit in the first one's exposure.
-
-    What was edited may follow other light than the photos (`exposure_of_edit`). What stands
-    elsewhere after the edit, as behind a removed thing, follows the photos' light: their geometry
-    does not tell what the edited photos share.
-    """
-    photos, edited, exposure = inputs.photos, edit.views, located.exposure
-    if exposure is None:
-        return ExposureCorrected(photos, edited)
-    of_edit: Exposure | ExposureOfEdit = exposure
-    changed = (edited.images != photos.images).any(2)
-    geometry = located.geometry
-    if not components.changes_shape and geometry is not None and bool(changed.any()):
-        # Inside the masks what an edit left as it was, as white under black and white, belongs to
-        # it.
-        count = components.edited_count(edited)
-        masks = selection.masks
-        region = masks > 0 if is_confined(masks) else torch.ones_like(changed)
-        changed[:, :count] |= region[:, :count]
-        of_edit = exposure_of_edit(exposure, edited, changed, geometry)
-    return ExposureCorrected(
-        replace(photos, images=exposure.to_reference(photos.images)),
-        replace(edited, images=of_edit.to_reference(edited.images)),
-        of_edit,
-    )
 
 
 def _fitting(inputs: Inputs, components: Components) -> tuple[Inputs, GeometryAnswer]:

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 
 import pytest
 import torch
-from edit3r_bench.features import ClipSimilarity, central_square, direction_similarity
+from edit3r_bench.features import ClipSimilarity, central_square, directional_similarity
 
 from edit3r.contract.errors import MissingDependencyError
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
@@ -119,12 +119,12 @@ def test_direction_is_one_for_the_wished_change_and_zero_for_none():
     red, blue = torch.zeros(1, 3, 4, 4), torch.zeros(1, 3, 4, 4)
     red[:, 0], blue[:, 2] = 1, 1
     wished = ("red", "blue")
-    assert direction_similarity(TwoAxes(), red, blue, *wished) == pytest.approx(1)
-    assert direction_similarity(TwoAxes(), blue, red, *wished) == pytest.approx(-1)
-    assert direction_similarity(TwoAxes(), red, red, *wished) == 0
+    assert directional_similarity(TwoAxes(), red, blue, *wished) == pytest.approx(1)
+    assert directional_similarity(TwoAxes(), blue, red, *wished) == pytest.approx(-1)
+    assert directional_similarity(TwoAxes(), red, red, *wished) == 0
 
 
 def test_direction_runs_on_a_real_network(similarity, images):
     texts = ("a house", "a red house")
-    value = direction_similarity(similarity, images, 1 - images, *texts)
+    value = directional_similarity(similarity, images, 1 - images, *texts)
     assert value.shape == (2,) and value.abs().max() <= 1
