@@ -34,7 +34,7 @@ from edit3r_geometry.features import (
 from edit3r_geometry.registration import register
 from edit3r_measure.novel_view import views_of as views_with_poses
 from edit3r_measure.protocol import CLASSES as OVERLAPS, IndexEntry
-from edit3r_model.correspondences import find_correspondences
+from edit3r_model.edited_views import find_correspondences
 from edit3r_training.procedural_scenes import (
     look_at,
     random_cameras,

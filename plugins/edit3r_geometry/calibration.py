@@ -68,6 +68,7 @@ _CLEAR = 0.08
 _FAR = 0.3  # smallest error that is told of [log focal length]
 _ASIDE = 0.35  # where a look aside tells whether there is anything to tell [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
+SETTLED = 3  # rounds of refining a motion between two fields of view of the scan
 # between two fields of view of the scan, shorter and shorter [log focal length]
 _STEPS = (0.08, 0.04, 0.02, 0.01)
 
@@ -276,7 +277,7 @@ class _FocalSearch:
         """The best trial between the neighbours of the `best` of a scan."""
         for step in _STEPS:
             near = [
-                self.with_poses_near(best.log_focal + sign * step, best.poses)
+                self.with_poses_near(best.log_focal + sign * step, best.poses, SETTLED)
                 for sign in (-1, 1)
             ]
             best = max(best, *near, key=lambda trial: trial.score)
@@ -291,13 +292,13 @@ class _FocalSearch:
         return self._trial(log_focal, tuple(found))
 
     def with_poses_near(
-        self, log_focal: float, poses: tuple[Pose | None, ...]
+        self, log_focal: float, poses: tuple[Pose | None, ...], rounds: int = 1
     ) -> _Trial:
-        """The score with the poses of a nearby focal length, refined."""
+        """The score with the poses of a nearby focal length, refined in so many `rounds`."""
         refined = (
             None
             if pose is None
-            else refine(self._with_focal(pair, log_focal), pose, self.threshold, 1)
+            else refine(self._with_focal(pair, log_focal), pose, self.threshold, rounds)
             for pair, pose in zip(self.pairs, poses)
         )
         return self._trial(log_focal, tuple(refined))

@@ -29,6 +29,10 @@ from edit3r_geometry.registration import Registration
 from edit3r_geometry.semi_global import aggregate, best_plane
 from edit3r_geometry.upsampling import upsample_depth
 
+SEVERAL = 4  # points of a pair that are not wrong together; chosen on `fox` 0, 8 (notes/classical)
+NEAREST = (
+    4.0  # times as near as most points: what is nearer than that is wrong; by hand
+)
 # Views whose sky is not to be hidden: those of a video say the same.
 MAX_OTHERS = 8
 
@@ -115,7 +119,7 @@ def _swept(
         raw[view] = sweep_depth(
             images[view],
             [near for other, near in around[view].items() if other in measuring],
-            inverse_depth_range(depths),
+            inverse_depth_range(depths, SEVERAL * len(around[view])),
             settings.planes,
         )
     measured = {view: _measured(images[view], around[view], view, raw) for view in raw}
@@ -175,17 +179,22 @@ def _neighbours(
     }
 
 
-def inverse_depth_range(depths: Float[np.ndarray, "point"]) -> tuple[float, float]:
+def inverse_depth_range(
+    depths: Float[np.ndarray, "point"], several: int = SEVERAL
+) -> tuple[float, float]:
     """Least and greatest inverse depth to search, from the `depths` of triangulated points.
 
     The outer 2 % may be wrong; beyond the rest there is room for what has no features, mostly in
-    front of it.
+    front of it. But `several` points are not wrong together: something near has few features.
     """
-    least, greatest = np.percentile(1 / depths, [2, 98])
+    inverse = np.sort(1 / depths)
+    least, greatest = np.percentile(inverse, [2, 98])
     room = 0.25 * (greatest - least)
-    return max(
-        least - room - 0.1 * least, 0.35 * least
-    ), greatest + room + 0.15 * greatest
+    nearest = min(inverse[-min(several, len(inverse))], NEAREST * greatest)
+    return (
+        max(least - room - 0.1 * least, 0.35 * least),
+        max(greatest + room + 0.15 * greatest, 1.15 * nearest),
+    )
 
 
 def sweep_depth(

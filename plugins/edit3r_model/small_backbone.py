@@ -20,7 +20,7 @@ from edit3r.contract.types import Features
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import resize
 from edit3r.kit.geometry.warping import warp
-from edit3r_model.correspondences import (
+from edit3r_model.edited_views import (
     Correspondences,
     find_correspondences,
     partner_views,

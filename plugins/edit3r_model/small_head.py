@@ -27,7 +27,6 @@ from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.maps import resize, size_of
 from edit3r.kit.geometry.warping import contradicted, warp
 from edit3r_model.colour_function import CHANNELS, blur_maps, change_of, fit_colour_maps
-from edit3r_model.correspondences import find_correspondences
 from edit3r_model.disagreement import (
     edits_conflict,
     edits_disagree,
@@ -35,7 +34,14 @@ from edit3r_model.disagreement import (
     shown_by_reference,
 )
 from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, FusedEdit
-from edit3r_model.edited_views import EditedViews, Exposure, Images, Maps, find_exposure
+from edit3r_model.edited_views import (
+    EditedViews,
+    Exposure,
+    Images,
+    Maps,
+    find_correspondences,
+    find_exposure,
+)
 from edit3r_model.layers import guided_upsample
 from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
 from edit3r_model.surface import discs

@@ -184,6 +184,17 @@ def test_range_holds_the_points_with_room_before_them():
     assert 0 < least < 1 / 4 and greatest > 1 / 2
 
 
+def test_something_near_with_few_features_is_searched_for():
+    """Four of 200 points lie at half the depth: not chance, and beyond what the others tell."""
+    far = np.linspace(2, 4, 200)
+    near, wrong = (np.r_[far, np.ones(count)] for count in (4, 3))
+    assert inverse_depth_range(near)[1] > 1.1
+    assert inverse_depth_range(wrong)[1] < 0.8
+    # of two neighbours each tells its own points
+    assert inverse_depth_range(near, 8)[1] < 0.8
+    assert inverse_depth_range(np.r_[far, np.full(4, 0.01)])[1] < 3
+
+
 def test_a_neighbour_confirms_its_own_surface_but_nothing_hidden_or_floating(noise):
     picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
     same, behind, before = (

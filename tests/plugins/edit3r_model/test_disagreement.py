@@ -4,9 +4,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 from edit3r_model.colour_function import change_of, fit_colour_maps
-from edit3r_model.correspondences import Correspondences
 from edit3r_model.disagreement import edits_conflict, edits_disagree
-from edit3r_model.edited_views import EditedViews, find_exposure
+from edit3r_model.edited_views import Correspondences, EditedViews, find_exposure
 
 from edit3r.kit.geometry.cameras import pixel_grid
 

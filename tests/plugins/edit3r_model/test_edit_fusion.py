@@ -1,9 +1,8 @@
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_model.correspondences import Correspondences
 from edit3r_model.edit_fusion import EditTransport
-from edit3r_model.edited_views import EditedViews
+from edit3r_model.edited_views import Correspondences, EditedViews
 from edit3r_model.small_backbone import convex_upsample
 from edit3r_model.small_head import Choices, fuse_colours
 

@@ -1,5 +1,5 @@
 import torch
-from edit3r_model.correspondences import find_correspondences, partner_views
+from edit3r_model.edited_views import find_correspondences, partner_views
 
 from edit3r.kit.geometry.warping import warp
 from edit3r_testing import photograph
