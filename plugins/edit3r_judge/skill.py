@@ -9,6 +9,7 @@ photos are compared, whatever the edit did.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -39,6 +40,7 @@ BEHIND = 0.01  # relative depth from which a solid Gaussian stands behind a fain
 SHOWN = 0.8  # opacity from which the scene shows a surface
 KEPT = 0.02  # difference of colours [sRGB] from which an edit changed a pixel
 OWN = 0.2  # share of a photo that its own Gaussians show, below which all are asked
+MOST_PAIRS = 8  # of photos that are compared; as many as a reference is looked at from
 MATCHES = 30  # below which photos do not tell who is wrong
 FLAT = 0.9  # share of the matches that one homography explains, where the photos show a plane
 
@@ -77,8 +79,10 @@ def skills(scene: SceneToJudge) -> list[Skill]:
     """Of each placed photo that has a neighbour, both ways; of a batch the first scene counts."""
     if scene.half_way is None:
         return []
-    photos = _Photos(_on_cpu(scene))
-    both = [way for pair in scene.half_way.pairs for way in (pair, pair[::-1])]
+    photos, pairs = _Photos(_on_cpu(scene)), scene.half_way.pairs
+    # a part is as good as another photo's: of many evenly chosen ones are asked
+    pairs = pairs[:: len(pairs) // (MOST_PAIRS + 1) + 1]
+    both = [way for pair in pairs for way in (pair, pair[::-1])]
     return [one for one in (photos.skill(*way) for way in both) if one is not None]
 
 
@@ -106,17 +110,11 @@ class _Photos:
             geometry = geometry.scene(0).select(used)
         self.pictures = blurred(lab(_in_one_light(views, geometry)), 1)
         self.size = size_of(self.pictures)
-        sift = cv2.SIFT_create(2000, contrastThreshold=0.015)  # type: ignore[attr-defined]
-        light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
-        self.marks = [sift.detectAndCompute(one, None) for one in light]
         self.same = unchanged(scene)
-        self.cameras = scene.cameras.at(self.size)
-        self.depths = _sampled(scene.first.depths[0, :, 0], self.size)
-        self.depths[small(scene.first.alphas[0, :, 0]) < SHOWN] = 0
-        for view in range(len(used)):
-            own = _depths_of(scene.gaussians.from_view(view), self.cameras, view)
-            if float((own > 0).float().mean()) > OWN:
-                self.depths[view] = own
+        self.gaussians, self.cameras = scene.gaussians, scene.cameras.at(self.size)
+        self.shown = _sampled(scene.first.depths[0, :, 0], self.size)
+        self.shown[small(scene.first.alphas[0, :, 0]) < SHOWN] = 0
+        self.marks, self.depths = cache(self._marks), cache(self._depths)
         self._found: dict[tuple[int, int], Matches] = {}
         self.geometry = None
         if geometry is not None:
@@ -124,13 +122,25 @@ class _Photos:
             cameras = Cameras(geometry.c2w, lenses, self.size)
             self.geometry = geometry.at(self.size).depths[0], cameras
 
+    def _marks(self, view: int) -> tuple[Any, Any]:
+        """SIFT features of a photo."""
+        sift = cv2.SIFT_create(2000, contrastThreshold=0.015)  # type: ignore[attr-defined]
+        light = (2.55 * self.pictures[view, 0].clamp(0, 100)).byte().numpy()
+        return sift.detectAndCompute(light, None)
+
+    def _depths(self, view: int) -> Float[Tensor, "height width"]:
+        """What the scene says of a photo's depths; 0: nothing."""
+        own = _depths_of(self.gaussians.from_view(view), self.cameras, view)
+        return own if float((own > 0).float().mean()) > OWN else self.shown[view]
+
     def skill(self, view: int, other: int) -> Skill | None:
         """How well each way lays photo `other` onto photo `view`; None: they share too little."""
-        ways = {"scene": _places(self.depths[view], self.cameras, view, other)}
+        own = self.depths(view)
+        ways = {"scene": _places(own, self.cameras, view, other)}
         if self.geometry is not None:
             depths, cameras = self.geometry
             ways["geometry"] = _places(depths[view], cameras, view, other)
-        where = self.depths[view] > 0
+        where = own > 0
         for name, places in ways.items():
             if name != "scene":
                 where &= _within(places)
@@ -155,7 +165,7 @@ class _Photos:
     def _matches(self, view: int, other: int) -> Matches:
         if (other, view) in self._found:
             return self._found[other, view][::-1]
-        found = _matched(self.marks[view], self.marks[other])
+        found = _matched(self.marks(view), self.marks(other))
         self._found[view, other] = found
         return found
 

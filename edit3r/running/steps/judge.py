@@ -40,8 +40,9 @@ from edit3r.running.records import (
 from edit3r.running.scene_input import SceneInput
 
 HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
-# places from which a reference is looked at: all Gaussians of all photos are drawn from each
-MOST_PLACES = 8
+# places from which a reference is looked at: all Gaussians of all photos are drawn from each, so
+# from fewer where there are many photos
+FEWEST_PLACES, MOST_PLACES, MOST_DRAWN = 2, 8, 64
 # standard deviation of the reference's Gaussians [pixels]: no gaps, no blur; by eye
 FOOTPRINT = 0.6
 
@@ -72,13 +73,14 @@ def judge(
         reference, first_half = None, None
         if located.geometry is not None and inputs.scene is None:
             used, drawn_by = reconstructed.used, components.rasterizer
-            reference = _reference(located.geometry, used, corrected.edited, drawn_by)
+            most = places_asked(cameras.count)
+            reference = _reference(
+                located.geometry, used, corrected.edited, drawn_by, most
+            )
             before = reconstructed.reconstruction.gaussians
-            if half is not None and (
-                gaussians is not before or len(half.pairs) > MOST_PLACES
-            ):
+            if half is not None and (gaussians is not before or len(half.pairs) > most):
                 first_half = seen_half_way(
-                    drawn_by, before, cameras, corrected.edited, MOST_PLACES
+                    drawn_by, before, cameras, corrected.edited, most
                 )
         verdict = asking.judge_scene(
             components.critic,
@@ -149,10 +151,19 @@ def _from_photos(
     return shown[0], shown[-1]
 
 
+def places_asked(photos: int) -> int:
+    """From how many places a reference of so many photos is looked at."""
+    return min(MOST_PLACES, max(FEWEST_PLACES, MOST_DRAWN // photos))
+
+
 def _reference(
-    geometry: Geometry, used: list[int], edited: Views, rasterizer: Rasterizer
+    geometry: Geometry,
+    used: list[int],
+    edited: Views,
+    rasterizer: Rasterizer,
+    most: int,
 ) -> Reference:
-    """The first scene of the batch, as sharp as critics look."""
+    """The first scene of the batch, as sharp as critics look, from `most` places half-way."""
     size = _small(edited.image_size)
     one, views = geometry.scene(0).at(size), edited.scene(0).at(size)
     if one.intrinsics is not None:
@@ -164,7 +175,7 @@ def _reference(
     pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
     half = None
     if len(used) > 1:
-        half = seen_half_way(rasterizer, pixels, cameras, edited, MOST_PLACES)
+        half = seen_half_way(rasterizer, pixels, cameras, edited, most)
     return Reference(
         first=asking.render(rasterizer, pixels.from_view(0), cameras.select([0])),
         depths=depths[0, 0],

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_judge import skill
 from edit3r_judge.signals import unlike_between
 from edit3r_judge.skill import FLOOR, _depths_of, skills, unchanged
 
@@ -101,3 +102,22 @@ def test_where_one_sees_through_what_is_in_front_no_surface_is_known(opacities, 
     lens = torch.tensor([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])[None, None]
     depths = _depths_of(seen, Cameras(torch.eye(4)[None, None], lens, (8, 8)), 0)
     assert depths.max() == depth
+
+
+@pytest.mark.parametrize(("count", "asked"), [(1, 1), (8, 8), (9, 5), (40, 8)])
+def test_of_many_photos_evenly_chosen_pairs_are_compared(monkeypatch, count, asked):
+    compared = []
+
+    class Photos:
+        def __init__(self, scene):
+            pass
+
+        def skill(self, view, other):
+            compared.append((view, other))
+
+    monkeypatch.setattr(skill, "_Photos", Photos)
+    judged = scene()
+    pairs = tuple((view, view + 1) for view in range(count))
+    skills(replace(judged, half_way=replace(judged.half_way, pairs=pairs)))
+    assert len(compared) == 2 * asked
+    assert max(map(max, compared)) >= count - count // asked
