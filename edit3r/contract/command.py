@@ -25,5 +25,7 @@ class Command(Configured, ABC):
         """Do the work; returns the exit code, None for 0. What users can mend is an Edit3rError."""
 
     def configuration(self) -> "type[Settings] | None":
-        """The settings in its file, for `edit3r schema`; None where it reads no such file."""
+        """The settings in the file that `--config` or the command's argument names, for `edit3r
+        schema`; None where it reads no such file.
+        """
         return None

@@ -1,9 +1,13 @@
 """What slow stages answered, kept by the hash of all that the answer depends on.
 
-A method marked `@remembered` asks the cache of the current run before it works; without one it does
-nothing. A command keeps its cache in the folder `cache/` of the results, so that `--from` finds the
-answers again; a program that stays open passes one `Cache` to every run. Entries are safetensors
-files: opening a stranger's folder runs no code.
+A method marked `@remembered` asks the cache of the current run before it works. A command keeps its
+cache in the folder `cache/` of the results, so that `--from` finds the answers again; a program
+that stays open keeps one `Cache` and passes it to every run. Without a cache, `@remembered` does
+nothing.
+
+Entries are safetensors files, so opening a stranger's folder runs no code. Each holds its own
+checksum. An entry that cannot be read or was changed is an error that names the file: deleting
+`cache/` is always safe.
 """
 
 import dataclasses

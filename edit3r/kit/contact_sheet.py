@@ -193,7 +193,9 @@ def outlined(
 
 
 def draw_outline(pixels: np.ndarray, inside: np.ndarray) -> None:
-    """Draw the outline of a bool mask into bytes of RGB, or of grey and opacity."""
+    """Draw the outline of a mask of booleans into bytes: [height, width, 3] of RGB, or
+    [height, width, 2] of grey and opacity.
+    """
     mask = inside.astype(np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     width = max(1, round(max(inside.shape) / 400))  # [pixels]

@@ -78,14 +78,18 @@ def quality_of(answer: MaskLogits) -> Float[Tensor, "mask"]:
 
 
 def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:
-    """IoU of the masks cut at +1 and at -1; 0 for a mask that is empty at -1."""
+    """IoU of the masks cut at +1 and at -1; the first lies inside the second. 0 for a mask that is
+    empty at -1.
+    """
     strict = (logits > STABILITY_OFFSET).sum((1, 2))
     loose = (logits > -STABILITY_OFFSET).sum((1, 2))
     return strict / loose.clamp(min=1)
 
 
 def boxes_of(inside: Tensor) -> Float[Tensor, "n 4"]:
-    """x, y, width, height [pixels] around each bool mask `[n, h, w]`; zeros for an empty one."""
+    """Smallest box around each bool mask `[n, h, w]`: x, y, width, height [pixels]; zeros for an
+    empty one.
+    """
     boxes = [cv2.boundingRect(mask.byte().numpy(force=True)) for mask in inside]
     return torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
 
@@ -93,7 +97,9 @@ def boxes_of(inside: Tensor) -> Float[Tensor, "n 4"]:
 def best_boxes(
     boxes: Float[Tensor, "n 4"], scores: Float[Tensor, "n"], overlap: float
 ) -> list[int]:
-    """Non-maximum suppression: indices of the boxes to keep, best first."""
+    """Non-maximum suppression: indices of boxes that no better one overlaps by more than `overlap`,
+    best first.
+    """
     if not len(boxes):
         return []
     # Scores are raised above its threshold, which drops boxes of score 0 otherwise.

@@ -59,7 +59,9 @@ class ChatModel:
         return os.environ.get(CHAT_KEY, "").strip()
 
     def ask(self, messages: Sequence[Any], **more: Any) -> str:
-        """The answer at temperature 0. Raises RunError, or MissingDependencyError."""
+        """The answer at temperature 0. Raises RunError where none comes, MissingDependencyError
+        without the library `openai`.
+        """
         try:
             import openai
         except ImportError:

@@ -11,7 +11,9 @@ from edit3r.contract.settings import Settings
 from edit3r.loading.registry import Registry
 
 PARTS_FROM_OUTSIDE = ("head", "trainer")
-"""Kinds whose parts come from the component they are built for, not from settings."""
+"""Kinds whose parts come from the component they are built for, so that their settings need not
+choose them.
+"""
 
 
 def check_offer(registry: Registry, offer: Offer) -> str:

@@ -15,7 +15,9 @@ from edit3r.contract.types import Cameras, Views
 from edit3r.kit.photos.cameras import intrinsics_from_outside, pose_from_outside
 
 MAX_FOCAL = 100.0
-"""[image sides]: a longer focal length is believed to be in pixels. A sanity limit."""
+"""[image sides], a view of half a degree: a longer focal length is believed to be in pixels.
+A sanity limit.
+"""
 EXPECTED_IMAGES = "float32 sRGB in [0, 1]"
 
 

@@ -57,7 +57,9 @@ def hide(
     edit: EditedPhotos,
     components: Components,
 ) -> Inputs:
-    """The inputs that show what the edit hides as little as the edited photos do."""
+    """The inputs that show what the edit hides as little as the edited photos do; an earlier
+    run's scene, which shows it, is forgotten.
+    """
     _tell(inputs, selection, components)
     inside = _where(selection, inputs.start, components).any(0)[:, :, None]
 

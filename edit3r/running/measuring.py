@@ -77,7 +77,9 @@ def _read_length(text: str, inputs: Inputs) -> KnownLength:
 
 
 def read_metres(asked: str, text: str) -> float:
-    """The metres of a length such as 69.4cm; raises InputError, which says what was `asked`."""
+    """The metres of a length such as 69.4cm; raises InputError, which begins with what was
+    `asked`, for what is none.
+    """
     found = re.fullmatch(r"([0-9.]+(?:e-?\d+)?)\s*([a-z]*)", text.strip().lower())
     unit = "" if found is None else found[2]
     if found is not None and unit not in METRES:

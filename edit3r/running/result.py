@@ -124,7 +124,9 @@ class RunResult:
 
     @cached_property
     def scene(self) -> Gaussians:
-        """The edited scene; a given one in its own frame and unit, unchanged bits kept."""
+        """The edited scene; of a given one in its own frame and unit, with the bits it came with
+        where nothing changed.
+        """
         given, records = self.records.inputs.scene, self.records
         if given is None:
             return self.gaussians
@@ -249,7 +251,9 @@ class RunResult:
 
 
 def write_result(root: Path, result: RunResult) -> None:
-    """Render and write what the run's `outputs` and `export` ask for, and `run.json`."""
+    """Render and write what the run's `outputs` and `export` ask for into the existing folder
+    `root`, and `run.json`.
+    """
     folder, report = RunFolder(root), result.report
     writers = [result.components.writer(name) for name in result.config.writers]
     drawing = [writer for writer in writers if {*writer.needs} & {*DRAWING}]
@@ -406,7 +410,9 @@ def _about(result: RunResult) -> str:
 
 
 def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
-    """The sheet of a preview: photos with the outline of what is selected, and the 2D edit."""
+    """The sheet of what `edit3r.running.pipeline.preview` returns: photos with the outline of what
+    is selected, and the 2D edit.
+    """
     photos, masks = preview.inputs.photos, preview.selection.masks
     outlined = outlined_views(images_of(photos), None if masks is None else masks[0])
     columns = {"photo": outlined}

@@ -80,7 +80,9 @@ class EarlierRun:
     hid: bool = False  # it hid something for good
 
     def undone(self) -> "EarlierRun":
-        """The photos. Raises InputError for an edit of an edit, or one that hid something."""
+        """What was before the last edit: the photos. Raises InputError for an edit of an edit, and
+        for one that hid something.
+        """
         inputs = self.inputs
         if self.hid:
             raise InputError(
@@ -115,7 +117,9 @@ class RunFolder:
         self.cache = root / CACHE
 
     def subfolder(self, name: Literal["inputs", "edited", "renders", "masks"]) -> Path:
-        """One of the folders of images, made when asked for."""
+        """The folder of photos as they were used, 2D edits, images of the scene, or masks of what
+        was named (a folder for each); made when asked for.
+        """
         folder = self.root / name
         folder.mkdir(exist_ok=True)
         return folder
@@ -287,7 +291,9 @@ class RunFolder:
         rendered: Rendering,
         things: Mapping[str, Float[Tensor, "view height width"]],
     ) -> None:
-        """Photos, 2D edits, renders, and masks of what was named, for further edits."""
+        """Photos, 2D edits, the scene from the photos' places, and masks of what was named, which
+        a further edit knows by these names.
+        """
         shown = {
             self.subfolder("inputs"): images_of(photos),
             self.subfolder("edited"): images_of(edited),

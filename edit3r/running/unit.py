@@ -114,7 +114,9 @@ GIVEN = Unit(torch.ones(1, dtype=torch.float64))
 
 
 def own_unit(views: Views) -> Unit:
-    """The power of two that brings each scene's cameras about 1 from the first; on the CPU."""
+    """Of each scene, the power of two that brings the cameras' mean distance from the first nearest
+    to 1; in float64, on the CPU.
+    """
     if views.c2w is None:
         return Unit(torch.ones(len(views.images), dtype=torch.float64))
     distances = _mean_distances(relative_to_first(views.c2w.cpu().double()))
@@ -126,7 +128,9 @@ def own_unit(views: Views) -> Unit:
 def unit_of_scene(
     scene: Reconstruction, photos: Views, unit: Unit, refine_poses: bool
 ) -> Unit:
-    """The way back of a scene that was made on the given poses, or from them."""
+    """What brings a scene that was made in `unit` back into the unit of the given poses, if it was
+    made on those, or from them (`refine_poses`).
+    """
     return unit.back.where(has_given_poses(scene, photos) | refine_poses)
 
 

@@ -104,7 +104,9 @@ class _ForgivingCache(numba.core.caching.FunctionCache):
 
 
 def _whole(locator: type) -> type:
-    """A way to find a folder for pickles of code, which never depends on the current folder."""
+    """A way to find a folder for compiled code, which never finds one that depends on the current
+    folder: its files are pickles, and the current folder may be a stranger's.
+    """
 
     class Whole(locator):
         def ensure_cache_path(self) -> None:

@@ -57,7 +57,9 @@ def distance_to(
 def window_around(
     mask: Bool[np.ndarray, "height width"], margin: float
 ) -> tuple[slice, slice]:
-    """Rows and columns of the box of a mask that is not empty, wider by `margin` pixels."""
+    """Rows and columns of the box of a mask that is not empty, `margin` pixels wider on each side
+    as far as the image goes.
+    """
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     margin = int(np.ceil(margin))
     rows = slice(max(0, y - margin), y + height + margin)
@@ -65,6 +67,8 @@ def window_around(
 
 
 def overlap(one: Mask, other: Mask) -> float:
-    """Intersection over union of bool masks, arrays or tensors; 0 when both are empty."""
+    """Intersection over union of two bool masks of one size, arrays or tensors; 0 when both are
+    empty.
+    """
     union = int((one | other).sum())
     return int((one & other).sum()) / union if union else 0.0

@@ -27,7 +27,9 @@ __all__ = [
 ]
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's photos in [0, 1], by which most networks scale their input; as published."""
+"""Of the sRGB values in [0, 1] of ImageNet's photos, by which most networks scale their input.
+As published with the weights.
+"""
 
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)

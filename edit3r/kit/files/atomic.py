@@ -127,7 +127,9 @@ def check_new_file(
 
 
 def _check_link(out: Path, overwrite: bool) -> None:
-    """Raise InputError for a link to what is not there, or to a run that would be replaced."""
+    """Raise InputError for a link that somebody may have laid where nobody looks: to what is not
+    there, or to a run that would be replaced.
+    """
     if not out.is_symlink():
         return
     if not out.exists():
@@ -211,7 +213,9 @@ def remove_abandoned(*finals: Path) -> None:
 
 @contextmanager
 def scratch_folder(name: str) -> Iterator[Path]:
-    """Yield a new temporary folder, removed after the block, or by the next of that `name`."""
+    """Yield a new temporary folder, removed after the block; where a kill prevents that, the next
+    one of that `name` removes it.
+    """
     with _workspace(Path(tempfile.gettempdir(), name).resolve()) as folder:
         yield folder
 
@@ -287,7 +291,9 @@ def _clear(workspace: Path, final: Path) -> None:
 
 
 def _move_into_place(new: Path, final: Path, overwrite: bool) -> None:
-    """Give the finished folder its name; `_clear` takes an earlier run back if that fails."""
+    """Give the finished folder its name; an earlier run of that name goes into the workspace, from
+    where `_clear` takes it back if the new one did not get the name.
+    """
     old = _aside(new)
     for attempt in range(_MAX_ATTEMPTS):
         try:
@@ -345,7 +351,9 @@ def _listed(folder: Path) -> dict[str, str | None]:
 
 
 def _contents(folder: Path) -> dict[str, str | None]:
-    """All inside but the marker, by path: the SHA-256 of files, None of folders."""
+    """All inside but the marker by their path in the folder: the SHA-256 of files, None of folders,
+    of links where they lead.
+    """
     contents: dict[str, str | None] = {}
     for place, folders, files in os.walk(folder):
         for name in folders + files:

@@ -67,7 +67,9 @@ _VALUE = re.compile(r"\s*([-+.\w]+|~|\[.*\]|\{.*\})\s*", re.DOTALL)
 
 
 def _typed(text: str) -> Any:
-    """A number, true, false, null, or a list or mapping in brackets, by YAML; else the text."""
+    """A number, true, false, null, or a list or mapping in brackets, by YAML; else the text as it
+    was typed, with all that YAML would take for a comment or a key.
+    """
     try:
         value = parse_yaml(text) if _VALUE.fullmatch(text) else text
     except ValueError:
@@ -83,7 +85,9 @@ _TAG = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML in which 010, 1:05, 1_000, 2024-01-01 and yes are texts."""
+    """YAML without its guesses: 010, 1:05, 1_000, 2024-01-01 and yes are texts, of which a
+    setting's type makes what they are.
+    """
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
 

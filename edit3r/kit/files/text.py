@@ -73,7 +73,9 @@ def _check_text(tree: Any) -> None:
 
 
 def read_plain(path: Path) -> str:
-    """The UTF-8 text of a file; raises OSError for what is none, such as a pipe."""
+    """The UTF-8 text of a file; raises OSError for what is none: reading a pipe that somebody gave
+    the name of a file would never end.
+    """
     if not path.is_file():
         raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
     return path.read_text(encoding="utf-8")

@@ -148,7 +148,9 @@ def _continued_surfaces(views: Views, geometry: Geometry) -> _Layer:
 def _nearest_behind(
     depths: Float[Tensor, "height width"], reach: int
 ) -> Int[Tensor, "height width"]:
-    """Index of the nearest pixel of a surface behind, beside a depth edge in reach; else -1."""
+    """Index of the nearest pixel beside a depth edge, if it is within `reach` and its surface lies
+    behind the pixel's own; else -1.
+    """
     apart, side = 1 + SAME_SURFACE, 2 * RIM_WIDTH + 1
     farthest, closest = (
         sign * F.max_pool2d(sign * depths[None, None], side, 1, RIM_WIDTH)[0, 0]
@@ -227,7 +229,9 @@ def _widened(
 def _softening(
     colour: Float[Tensor, "image 3 rows columns"], blocks: int, most: int
 ) -> Float[Tensor, "image 3 wide_rows wide_columns"]:
-    """Colours continued by `blocks`, by means of ever more of the border: no stripes."""
+    """Colours continued by `blocks`: the border's own beside it, means of ever more of it farther
+    out, so that nothing on the border becomes a stripe.
+    """
     height, width = colour.shape[-2:]
     beyond = _beyond((height, width), blocks).to(colour)
     soft = _continued(colour, 1, blocks)

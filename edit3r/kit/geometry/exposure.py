@@ -68,7 +68,9 @@ class Exposure:
 
 @dataclass(frozen=True)
 class ExposureOfEdit:
-    """How edited photos' colours become the reference's, where the edit follows other light."""
+    """How edited photos' colours become the reference's: what was edited may follow other light
+    than the photos, as a drawing does.
+    """
 
     photos: Exposure
     edit: Exposure
@@ -269,7 +271,9 @@ def _reduced(
 def _shared(
     images: Images, views: Views, geometry: Geometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
-    """Exposed colours of the surfaces that two views surely show, as each shows them."""
+    """Exposed colours of the surfaces that two views surely show, as each shows them. Images and
+    geometry are at the reduced size.
+    """
     first, second = _of_both(images, views, geometry, scene, pair)
     exposed = [((c > EXPOSED[0]) & (c < EXPOSED[1])).all(1) for c in (first, second)]
     return first[exposed[0] & exposed[1]], second[exposed[0] & exposed[1]]
@@ -282,7 +286,9 @@ def _of_both(
     scene: int,
     pair: list[int],
 ) -> tuple[Float[Tensor, "pixel channel"], Float[Tensor, "pixel channel"]]:
-    """What the maps of two views are where both surely show one surface, on the CPU."""
+    """What the maps of two views are where both surely show one surface, on the CPU: what is
+    settled from it is small. Maps and geometry are at the reduced size.
+    """
     intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
     grid, same = shared_surface(
         geometry.depths[scene, pair], intrinsics, geometry.c2w[scene, pair]

@@ -103,7 +103,9 @@ def resize(
 def resampled(
     images: Float[Tensor, "*batch channel height width"], size: tuple[int, int]
 ) -> Float[Tensor, "*batch channel height2 width2"]:
-    """Images in [0, 1] at `size` (height, width), bicubic without aliasing."""
+    """Images in [0, 1] at `size` (height, width), bicubic without aliasing; the same tensor where
+    that is their size.
+    """
     if tuple(images.shape[-2:]) == tuple(size):
         return images
     flat = images.flatten(0, -4)

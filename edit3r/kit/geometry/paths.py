@@ -70,7 +70,9 @@ def interpolate_poses(
 
 
 def half_way(cameras: Cameras) -> tuple[Cameras, tuple[tuple[int, int], ...]]:
-    """Of one scene: cameras half-way from each view to its nearest one, and these pairs."""
+    """Of one scene (batch 1): cameras half-way from each view to its nearest one, and between which
+    two views each stands. A camera has the lens of its first view.
+    """
     centres = cameras.c2w[0, :, :3, 3]
     apart = torch.cdist(centres, centres).fill_diagonal_(torch.inf)
     nearest = apart.argmin(1).tolist()

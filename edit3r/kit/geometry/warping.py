@@ -102,7 +102,9 @@ def contradicted(
 
 
 def _better_measured(geometry: Geometry) -> Bool[Tensor, "batch view view"]:
-    """For each view that is mostly guessed the others of which clearly more was measured."""
+    """For each view that is mostly guessed the others of which clearly more was measured; none of
+    two: what one of them guesses, nobody else shows.
+    """
     share = geometry.measured * geometry.registered
     own, other = share[:, :, None], share[:, None]
     several = geometry.registered.sum(1)[:, None, None] > 2

@@ -23,7 +23,9 @@ from edit3r.kit.files.text import HALF, parse_json
 from edit3r.kit.photos.decode import MAX_JPEG_PIXELS, SUFFIXES, image_size
 
 TOLERANCE = 0.01
-"""How far a rotation's products, or a 0 or 1, may be off. A sanity limit."""
+"""How far a rotation's products, or a number that must be 0 or 1, may be off: files are rounded.
+A sanity limit.
+"""
 
 # The numbers of this block: sanity limits.
 MIN_FOCAL = 0.01  # of the longer side

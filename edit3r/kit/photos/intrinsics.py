@@ -46,7 +46,9 @@ class Intrinsics:
 
 
 def known_poses(intrinsics: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
-    """The photos' poses where one file, or the parts of one data set, know all of them."""
+    """The photos' poses where one file knows all of them: those of two files have no frame in
+    common, but for the parts of a data set.
+    """
     poses = [one.c2w for one in intrinsics if one.c2w is not None]
     complete = (
         len(poses) == len(intrinsics)
@@ -58,7 +60,9 @@ def known_poses(intrinsics: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"]
 def as_others_of_its_size(
     intrinsics: Sequence[Intrinsics], sizes: Sequence[Size], index: int
 ) -> Intrinsics:
-    """A photo's intrinsics, or those of others of its size where nobody knows them."""
+    """A photo's intrinsics; where nobody knows them, those of other photos of its size if they
+    agree: one camera took them.
+    """
     of_photo = intrinsics[index]
     alike = [one for one, size in zip(intrinsics, sizes) if size == sizes[index]]
     known = [one for one in alike if not one.assumed]
@@ -77,7 +81,9 @@ class IntrinsicsFinder:
     """Looks up intrinsics photo by photo; camera files are read once."""
 
     def __init__(self, cameras: str | Path | None, fov: float | None) -> None:
-        """`cameras`: a file, NO_CAMERAS, or None: beside photos; `fov`: horizontal [degrees]."""
+        """`cameras`: a file to use, None to look beside each photo, NO_CAMERAS for neither. `fov`:
+        horizontal [degrees].
+        """
         self.fov = fov
         self.looks = str(cameras) != NO_CAMERAS
         given = None if cameras is None or not self.looks else Path(cameras)

@@ -25,7 +25,9 @@ def rotation_degrees(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n n"]) -
 def choose_triples(
     poses: Sequence[Pose], count: int, degrees: tuple[float, float] = (5.0, 30.0)
 ) -> list[tuple[int, int, int]]:
-    """Return at most `count` triples (first, second, between), evenly of pairs so far apart."""
+    """Return at most `count` triples (first, second, a photo between them), spread evenly over all
+    pairs that are `degrees` apart.
+    """
     triples = []
     for first, second in combinations(range(len(poses)), 2):
         if degrees[0] <= rotation_degrees(poses[first], poses[second]) <= degrees[1]:

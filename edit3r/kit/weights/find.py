@@ -20,7 +20,9 @@ VARIABLE = "EDIT3R_WEIGHTS"
 """Environment variable that names the folder of all weights."""
 
 RECORD = "source.json"
-"""In the folder of fetched weights: source, revision, and every file's SHA-256."""
+"""In the folder of fetched weights: where they came from, at which revision, and every file's
+SHA-256.
+"""
 
 
 def folder(chosen: str | Path | None = None) -> Path:

@@ -45,7 +45,9 @@ def run_onnx(
     fault: str,
     advice: str,
 ) -> list[Any]:
-    """What a session answers. Raises InputError with the `fault` of the file and `advice`."""
+    """What a session answers; None: all its outputs. Raises InputError with what is wrong with the
+    file (`fault`) and what to do.
+    """
     try:
         return session.run(outputs, inputs)
     except Exception as error:

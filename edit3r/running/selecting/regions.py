@@ -206,7 +206,9 @@ class RegionFinder:
     def _is_denied(
         self, mask: Masks, rest: Masks, kept: Target, instruction: Instruction
     ) -> bool:
-        """Whether what was found unsurely for a thing to keep is the thing to change itself."""
+        """Whether what was found unsurely for a thing to keep is the thing to change itself: "the
+        fern, not the planter" says that these are two.
+        """
         found = self._found.get(replace(kept, part=None))
         unsure = found is not None and not found.is_sure
         other = (

@@ -138,7 +138,9 @@ def _from_photos(
     size: tuple[int, int],
     rasterizer: Rasterizer,
 ) -> tuple[Rendering, Rendering]:
-    """The scene before any refiner, at the critics' size, and the final one."""
+    """The scene before any refiner, no larger than critics look, and the final one; drawn once
+    where they are the same.
+    """
     before, text = reconstructed.reconstruction.gaussians, "render input views"
     cameras = reconstructed.cameras.at(size)
     drawn = [(gaussians, cameras)]
@@ -228,7 +230,9 @@ def seen_half_way(
     photos: Views | None = None,
     most: int | None = None,
 ) -> HalfWay:
-    """One scene (batch 1) from half-way between neighbours; evenly chosen ones above `most`."""
+    """One scene (batch 1) from half-way between each of its `photos` and the nearest one; of more
+    than `most` such places, evenly chosen ones.
+    """
     between, pairs = half_way(cameras.at(_small(cameras.image_size)))
     chosen = evenly(range(len(pairs)), most)
     between, pairs = between.select(chosen), tuple(pairs[one] for one in chosen)

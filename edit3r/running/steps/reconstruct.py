@@ -161,7 +161,9 @@ def _grid(components: Components, views: Views) -> tuple[int, int]:
 def _checked(
     recon: Reconstructor, views: Views, compute: Callable[[], Reconstruction]
 ) -> Reconstruction:
-    """The answer, with cameras by PnP where it predicts none, without views not placed."""
+    """The answer, held to the contract, with cameras by PnP where it predicts none, and without
+    what could not be placed.
+    """
     reconstruction = asking.reconstruct(recon, views, compute)
     if reconstruction.cameras is None:
         note("cameras", "PnP on the predicted Gaussian centres")

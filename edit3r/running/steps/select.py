@@ -106,7 +106,9 @@ def require_answer(
 
 
 def load(inputs: Inputs, components: Components) -> Inputs:
-    """The inputs on the run's device. Raises InputError for too few photos."""
+    """Move the inputs to the run's device. Raises InputError for fewer photos than the
+    reconstructor needs.
+    """
     with stage("load components"):
         _require_enough(inputs.start, components.reconstructor)
         return inputs.to(components.config.device)
@@ -202,7 +204,9 @@ def _regions(
 def _widened(
     selection: SelectedRegions, inputs: Inputs, components: Components
 ) -> SelectedRegions:
-    """The selection with what editors have to change or hide around the things."""
+    """The selection with what editors have to change around the things, such as shadows, and
+    what has to be hidden around them.
+    """
     if selection.regions is None:
         return selection
     of_tasks = selection.regions.split(
