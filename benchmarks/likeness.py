@@ -12,6 +12,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import torch
+from edit3r_geometry.relative_pose import agreeing
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
@@ -156,10 +157,5 @@ def _matched(
     spots = np.array(pairs).reshape(-1, 2, 2)
     if len(spots) < FEWEST_MATCHES:
         return spots
-    try:
-        _, kept = cv2.findFundamentalMat(
-            spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000
-        )
-    except cv2.error:  # matches of which no geometry can be computed
-        kept = None
-    return spots[kept.ravel().astype(bool)] if kept is not None else spots[:0]
+    kept = agreeing(spots[:, 0], spots[:, 1], 1.0)
+    return spots[:0] if kept is None else spots[kept]

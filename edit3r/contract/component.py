@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from edit3r.contract.weights import Weights, require, require_name
+from edit3r.contract.weights import Weights, check_declared, check_name
 
 # it takes a tenth of a second to import, and declarations need none of it
 if TYPE_CHECKING:
@@ -74,15 +74,15 @@ class Component:
     weights: tuple[Weights, ...] = ()
 
     def __post_init__(self) -> None:
-        require_name("component", self.name)
+        check_name("component", self.name)
         who = f"component {self.name!r}"
         told = f"{who}: target {self.target!r} must read 'module:Class'"
         text = isinstance(self.target, str)
-        require(text and re.fullmatch("[^:]+:[^:]+", self.target), told)
+        check_declared(text and re.fullmatch("[^:]+:[^:]+", self.target), told)
         for field in ("summary", "extra", "licence", "citation", *_OF_WRITERS):
             value = getattr(self, field)
             told = f"{who}: {field} must be text, got {value!r}"
-            require(isinstance(value, str), told)
+            check_declared(isinstance(value, str), told)
         for field in ("requires", "parts", "devices", "actions"):
             object.__setattr__(self, field, _texts(who, field, getattr(self, field)))
         given = self.weights
@@ -90,16 +90,16 @@ class Component:
         held = isinstance(given, tuple) and all(
             isinstance(one, Weights) for one in given
         )
-        require(held, f"{told}, got {given!r}")
+        check_declared(held, f"{told}, got {given!r}")
         plain = not any(sign in self.suffix + self.stem for sign in "/\\\0")
-        require(plain, f"{who}: suffix and stem are parts of a file's name")
+        check_declared(plain, f"{who}: suffix and stem are parts of a file's name")
         for part in self.parts:
             told = f"{who}: unknown part kind {part!r}; kinds are {', '.join(KINDS)}"
-            require(part in KINDS, told)
+            check_declared(part in KINDS, told)
         limits = (self.min_views, 1 if self.max_views is None else self.max_views)
         told = f"{who}: min_views and max_views must be 1 or more"
         held = all(isinstance(limit, int) and limit >= 1 for limit in limits)
-        require(held, f"{told}, got {self.min_views}, {self.max_views}")
+        check_declared(held, f"{told}, got {self.min_views}, {self.max_views}")
 
     @property
     def makes_folder(self) -> bool:

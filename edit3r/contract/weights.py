@@ -25,15 +25,15 @@ _SOURCE = re.compile(r"hub:[\w.-]+/[\w.-]+|package:[\w.-]+|npm:(@[\w.-]+/)?[\w.-
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
-def require(holds: object, told: str) -> None:
+def check_declared(holds: object, told: str) -> None:
     """Raise ValueError, in a declaration, with what does not hold."""
     if not holds:
         raise ValueError(told)
 
 
-def require_name(what: str, name: object) -> None:
+def check_name(what: str, name: object) -> None:
     told = f"{what} name {name!r} must be lower-case letters, digits and dashes"
-    require(isinstance(name, str) and NAME.fullmatch(name), told)
+    check_declared(isinstance(name, str) and NAME.fullmatch(name), told)
 
 
 @dataclass(frozen=True)
@@ -57,27 +57,27 @@ class Weights:
     caution: str = ""  # a sentence that whoever fetches them must have read
 
     def __post_init__(self) -> None:
-        require_name("weights", self.name)
+        check_name("weights", self.name)
         who = f"weights {self.name!r}"
         one_of = {"bundle": ("", *BUNDLES), "commercial": COMMERCIAL}
         for field, allowed in one_of.items():
             value = getattr(self, field)
             listed = ", ".join(filter(None, allowed))
             told = f"{who}: {field} must be one of {listed}, got {value!r}"
-            require(value in allowed, told)
+            check_declared(value in allowed, told)
         sources = "'hub:OWNER/NAME', 'package:NAME' or 'npm:NAME'"
         told = f"{who}: source must read {sources}, got {self.source!r}"
-        require(_SOURCE.fullmatch(self.source), told)
-        require(self.files, f"{who}: names no files")
+        check_declared(_SOURCE.fullmatch(self.source), told)
+        check_declared(self.files, f"{who}: names no files")
         pairs = f"{who}: files must be pairs of a relative path and a SHA-256"
         for path, sha256 in self.files:
             inside = path and not path.startswith("/") and "\\" not in path
             inside = inside and ".." not in PurePosixPath(path).parts
             known = not sha256 or _SHA256.fullmatch(sha256)
-            require(inside and known, f"{pairs}, got {(path, sha256)!r}")
+            check_declared(inside and known, f"{pairs}, got {(path, sha256)!r}")
         told = f"{who}: from a package, the version and every SHA-256 must be given"
         pinned = self.revision and all(sha256 for _, sha256 in self.files)
-        require(pinned or not self.packed, told)
+        check_declared(pinned or not self.packed, told)
 
     @property
     def packed(self) -> bool:

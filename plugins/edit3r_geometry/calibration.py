@@ -18,6 +18,7 @@ import numpy as np
 
 from edit3r_geometry.cameras import CalibratedImage, Pose
 from edit3r_geometry.relative_pose import (
+    REFINEMENT_ROUNDS,
     Matches,
     agreeing,
     quick_pose,
@@ -68,7 +69,6 @@ _CLEAR = 0.08
 _FAR = 0.3  # smallest error that is told of [log focal length]
 _ASIDE = 0.35  # where a look aside tells whether there is anything to tell [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
-SETTLED = 3  # rounds of refining a motion between two fields of view of the scan
 # between two fields of view of the scan, shorter and shorter [log focal length]
 _STEPS = (0.08, 0.04, 0.02, 0.01)
 
@@ -277,7 +277,9 @@ class _FocalSearch:
         """The best trial between the neighbours of the `best` of a scan."""
         for step in _STEPS:
             near = [
-                self.with_poses_near(best.log_focal + sign * step, best.poses, SETTLED)
+                self.with_poses_near(
+                    best.log_focal + sign * step, best.poses, REFINEMENT_ROUNDS
+                )
                 for sign in (-1, 1)
             ]
             best = max(best, *near, key=lambda trial: trial.score)

@@ -29,10 +29,10 @@ from edit3r_geometry.registration import Registration
 from edit3r_geometry.semi_global import aggregate, best_plane
 from edit3r_geometry.upsampling import upsample_depth
 
-SEVERAL = 4  # points of a pair that are not wrong together; chosen on `fox` 0, 8 (notes/classical)
-NEAREST = (
-    4.0  # times as near as most points: what is nearer than that is wrong; by hand
-)
+# points of a pair that are not wrong together; chosen on `fox` 0, 8 (docs/notes/classical.md)
+SEVERAL = 4
+# times as near as most points, beyond which a point is wrong; by hand
+NEAREST = 4.0
 # Views whose sky is not to be hidden: those of a video say the same.
 MAX_OTHERS = 8
 

@@ -21,7 +21,7 @@ LEAST_SHARE = 0.3
 """Share of the matches that must agree on a motion which the estimate without the lens does not
 show. No figure kept.
 """
-_REFINEMENT_ROUNDS = 3
+REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30
 _SMALL_STEP = 1e-6  # by which slopes of the errors are read
 _LEAST_GAIN = 1e-4  # share of the loss below which a step is the last
@@ -218,7 +218,7 @@ def support(
 
 
 def refine(
-    matches: Matches, pose: Pose, threshold: float, rounds: int = _REFINEMENT_ROUNDS
+    matches: Matches, pose: Pose, threshold: float, rounds: int = REFINEMENT_ROUNDS
 ) -> Pose:
     """Minimise the robust Sampson error; inliers are chosen anew between the `rounds`."""
     for _ in range(rounds):

@@ -5,7 +5,7 @@ A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, bey
 is doubtful; `benchmarks/fit_verdict.py` chooses it by edits made well and badly on purpose.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
@@ -37,8 +37,8 @@ WIDE = 12  # pixels over which detail is told, and about what was removed, for i
 BIN = 10.0  # difference within which colours are one [CIE Lab]
 LIKE = 0.1  # share of a colour that changed, from which all of it could
 FEW = 30  # pixels below which nothing is told
-MOTION_SAMPLES = 2000  # pixels that tell how a whole picture moves, about
-MOTION_LIMIT = 8.0  # that they may lie off it [pixels]
+MOTION_SAMPLES = 2000  # pixels that tell how a whole picture moves, about; by hand
+MOTION_LIMIT = 8.0  # that they may lie off it [pixels]; by hand
 
 Maps = Float[Tensor, "view height width"]
 Where = Bool[Tensor, "view height width"]
@@ -195,13 +195,9 @@ def shared(found: Pictures) -> float | None:
     if found.removes or edit.masks is None or edit.rendered is None or cameras is None:
         return None
     things = [one.masks[:, 0] for one in edit.selected] or [edit.masks[0]]
-    masks = small(torch.stack(things).amax(0))
-    depths, overlaps = small(edit.rendered.depths[0, :, 0]), []
-    for pair in map(list, permutations(range(len(masks)), 2)):
-        lenses, poses = cameras.intrinsics[0, pair].cpu(), cameras.c2w[0, pair].cpu()
-        grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
-        there = warp(masks[pair[1], None], grid, padding="zeros")[0] > 0.5
-        both = torch.stack((masks[pair[0]] > 0.5, there))
+    masks, overlaps = small(torch.stack(things).amax(0)), []
+    for (view, _), seen, there in _laid_over(edit, masks, range(len(masks))):
+        both = torch.stack((masks[view] > 0.5, there))
         either = int((seen & both).sum())
         if either >= 2 * FEW:
             agreed = seen & both & _grown(both.flip(0), BAND)
@@ -441,18 +437,32 @@ def faults_of(
 
 def _nowhere_shown(found: Pictures) -> Where:
     """What is selected, but for what another photo shows, as the scene's depths tell."""
-    edit, cameras = found.edit, found.edit.cameras
     hidden = found.inside.clone()
-    if cameras is None or edit.rendered is None:
-        return hidden
-    depths = small(edit.rendered.depths[0, found.views, 0])
-    for pair in map(list, permutations(range(len(hidden)), 2)):
-        used = [found.views[one] for one in pair]
-        lenses, poses = cameras.intrinsics[0, used].cpu(), cameras.c2w[0, used].cpu()
-        grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
-        there = warp(found.inside[pair[1]].float()[None], grid, padding="zeros")[0]
-        hidden[pair[0]] &= ~seen | (there > 0.5)
+    if found.edit.cameras is not None and found.edit.rendered is not None:
+        masks = found.inside.float()
+        for (view, _), seen, there in _laid_over(found.edit, masks, found.views):
+            hidden[view] &= ~seen | there
     return hidden
+
+
+def _laid_over(
+    edit: EditToJudge, masks: Maps, views: Sequence[int]
+) -> Iterator[tuple[tuple[int, int], Where, Where]]:
+    """Of each two masks of `views`, by their number: which pixels of the first photo the second
+    shows too, as the scene's depths tell, and which of them are masked there.
+    """
+    assert edit.cameras is not None and edit.rendered is not None
+    used = list(views)
+    depths = small(edit.rendered.depths[0, used, 0])
+    lenses = edit.cameras.intrinsics[0, used].cpu()
+    poses = edit.cameras.c2w[0, used].cpu()
+    for first, second in permutations(range(len(masks)), 2):
+        pair = [first, second]
+        grid, seen = shared_surface(
+            depths[pair], lenses[pair], poses[pair], SAME_SURFACE
+        )
+        there = warp(masks[second, None], grid, padding="zeros")[0] > 0.5
+        yield (first, second), seen, there
 
 
 def _region(found: Pictures, number: int) -> Where:
@@ -558,10 +568,20 @@ def _motion(
     matrix, _ = cv2.findHomography(first, second, cv2.RANSAC, MOTION_LIMIT)
     if matrix is None:
         return None
-    pixels = (pixel_grid(size, sides) * sides).numpy()
-    moved = cv2.perspectiveTransform(pixels.reshape(-1, 1, 2), matrix)
-    flow = (moved.reshape(pixels.shape) - pixels).astype(np.float32)
+    moved = homography_grid(matrix, size) - pixel_grid(size, sides)
+    flow = (moved * sides).float().numpy()
     return flow if np.abs(flow).max() < 2 * max(size) else None
+
+
+def homography_grid(
+    matrix: np.ndarray, size: tuple[int, int]
+) -> Float[Tensor, "height width 2"]:
+    """Where a homography of pixels brings each pixel, normalised; in float64."""
+    sides = torch.tensor(size[::-1], dtype=torch.float64)
+    pixels = pixel_grid(size, sides) * sides
+    ones = torch.ones_like(pixels[..., :1])
+    moved = torch.cat((pixels, ones), -1) @ torch.from_numpy(matrix).T
+    return moved[..., :2] / moved[..., 2:] / sides
 
 
 def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:

@@ -22,7 +22,6 @@ from torch import Tensor
 from edit3r.contract.interfaces import Geometry, SceneToJudge
 from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import (
-    pixel_grid,
     project,
     project_to_pixels,
     unproject,
@@ -30,7 +29,8 @@ from edit3r.kit.geometry.cameras import (
 from edit3r.kit.geometry.exposure import estimate_exposure
 from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import warp
-from edit3r_judge.signals import SIDE, blurred, lab, small
+from edit3r.kit.photos.images import evenly
+from edit3r_judge.signals import SIDE, blurred, homography_grid, lab, small
 
 # The numbers of this block: chosen by hand before any limit was fitted (docs/notes/verdict.md).
 MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
@@ -40,7 +40,7 @@ BEHIND = 0.01  # relative depth from which a solid Gaussian stands behind a fain
 SHOWN = 0.8  # opacity from which the scene shows a surface
 KEPT = 0.02  # difference of colours [sRGB] from which an edit changed a pixel
 OWN = 0.2  # share of a photo that its own Gaussians show, below which all are asked
-MOST_PAIRS = 8  # of photos that are compared; as many as a reference is looked at from
+MOST_PAIRS = 8  # of photos that are compared
 MATCHES = 30  # below which photos do not tell who is wrong
 FLAT = 0.9  # share of the matches that one homography explains, where the photos show a plane
 
@@ -79,9 +79,9 @@ def skills(scene: SceneToJudge) -> list[Skill]:
     """Of each placed photo that has a neighbour, both ways; of a batch the first scene counts."""
     if scene.half_way is None:
         return []
-    photos, pairs = _Photos(_on_cpu(scene)), scene.half_way.pairs
-    # a part is as good as another photo's: of many evenly chosen ones are asked
-    pairs = pairs[:: len(pairs) // (MOST_PAIRS + 1) + 1]
+    photos = _Photos(_on_cpu(scene))
+    # what is broken is broken in most photos
+    pairs = evenly(scene.half_way.pairs, MOST_PAIRS)
     both = [way for pair in pairs for way in (pair, pair[::-1])]
     return [one for one in (photos.skill(*way) for way in both) if one is not None]
 
@@ -262,11 +262,7 @@ def _homography(
     matrix, inliers = cv2.findHomography(here, there, cv2.RANSAC, 3.0)
     if matrix is None or inliers.mean() >= FLAT:
         return None
-    sides = torch.tensor(size[::-1], dtype=torch.float32)
-    pixels = pixel_grid(size, sides) * sides
-    ones = torch.ones_like(pixels[..., :1])
-    moved = torch.cat((pixels, ones), -1) @ torch.from_numpy(matrix).float().T
-    return moved[..., :2] / moved[..., 2:] / sides
+    return homography_grid(matrix, size).float()
 
 
 def _matched(marks: tuple[Any, Any], marks_there: tuple[Any, Any]) -> Matches:

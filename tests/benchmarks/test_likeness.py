@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from scipy.ndimage import gaussian_filter
 
 FILE = Path(__file__).parents[2] / "benchmarks" / "likeness.py"
@@ -41,3 +42,22 @@ def test_means_are_by_figure():
     between = likeness.mean([one, other])
     assert between.lpips == pytest.approx((one.lpips + other.lpips) / 2)
     assert str(between).count(",") == likeness.TITLE.count(",")
+
+
+def test_disagreement_is_that_of_the_changes_not_of_the_photos():
+    generator = torch.Generator().manual_seed(0)
+    grain = torch.rand(1, 3, 40, 46, generator=generator)
+    wide = torch.nn.functional.interpolate(grain, scale_factor=4, mode="bicubic")
+    wide = 0.3 + 0.4 * wide[0].clamp(0, 1)
+    photos = torch.stack((wide[..., :160], wide[..., 24:]))
+    # another exposure, not another edit
+    darker = torch.stack((photos[0], 0.5 * photos[1]))
+    found = likeness.disagreement(darker, darker + 0.1)
+    assert found == pytest.approx(0, abs=1e-3)
+    apart = torch.stack((photos[0] + 0.1, photos[1] - 0.1))
+    assert likeness.disagreement(photos, apart) == pytest.approx(0.2, abs=5e-3)
+
+
+def test_disagreement_of_photos_without_common_spots_is_not_measured():
+    flat = torch.full((2, 3, 64, 64), 0.5)
+    assert likeness.disagreement(flat, flat) is None

@@ -306,6 +306,11 @@ def test_what_another_photo_shows_is_not_invented(good):
     alone[:, 1] = 0
     seen = replace(bad, masks=alone, regions=alone[None])
     assert measured(seen)["invented"] is None
+    # a photo that looks elsewhere shows nothing of it
+    away = seen.cameras.c2w.clone()
+    away[0, 1, 0, 3] = 100
+    elsewhere = replace(seen, cameras=replace(seen.cameras, c2w=away))
+    assert measured(elsewhere)["invented"] > fitted_limits("edit")["invented"]
     before_any_scene = replace(bad, rendered=None, cameras=None)
     assert measured(before_any_scene)["invented"] is None
 
