@@ -653,6 +653,7 @@ def test_two_clicks_measure_and_escape_ends_it(browser, cameras, tmp_path, look,
     page.wait_for_selector("body[data-drawn]", timeout=60_000)
     page.get_by_role("button", name="measure").click()
     told = page.locator("#length")
+    page.wait_for_function("!told.hidden")  # it is written when the next frame is drawn
     assert told.inner_text() == "click two places of the scene"
     at = page.evaluate(
         """() => {
