@@ -20,8 +20,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.cache import Cache
-from edit3r.kit.photos.coverage import temporary_photos
-from edit3r.kit.photos.in_memory import Pictures, as_files
+from edit3r.kit.photos.temporary import Pictures, as_files, temporary_photos
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, PART_KEYS, make_run_config
 from edit3r.running.given import check_cameras, check_views, checked_masks

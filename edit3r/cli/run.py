@@ -202,8 +202,8 @@ def _with_edits_kept(error: Exception, out: Path, edited: "Views") -> Edit3rErro
 
 def _check_preview(file: Path, photos: list[str]) -> None:
     """Raise InputError for a file that would be no image, or that is one of the photos."""
-    from edit3r.kit.photos.coverage import temporary_photos
     from edit3r.kit.photos.images import find_photos
+    from edit3r.kit.photos.temporary import temporary_photos
     from edit3r.running.job import scene_among
 
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):

@@ -40,8 +40,8 @@ class AppCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.kit.children import safe_path
-        from edit3r.kit.photos.coverage import temporary_photos
         from edit3r.kit.photos.images import find_photos
+        from edit3r.kit.photos.temporary import temporary_photos
         from edit3r_app.jobs import JobsFolder
 
         if not 8 <= args.size <= 8192 or not 0 <= (args.port or 0) < 65536:

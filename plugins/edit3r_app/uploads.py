@@ -21,9 +21,10 @@ from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
-from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames, temporary_photos
+from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.kit.photos.decode import READABLE, decode
 from edit3r.kit.photos.images import SUFFIXES, save_image
+from edit3r.kit.photos.temporary import temporary_photos
 from edit3r.running import SCENE_ENDINGS, SceneInput, read_scene
 from edit3r_app.jobs import SPLAT, JobsFolder
 

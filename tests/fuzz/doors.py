@@ -40,9 +40,10 @@ from edit3r.kit.photos.cameras import (
     read_scene_cameras,
     write_cameras,
 )
-from edit3r.kit.photos.coverage import take_frames, temporary_photos
+from edit3r.kit.photos.coverage import take_frames
 from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
+from edit3r.kit.photos.temporary import temporary_photos
 from edit3r.kit.provenance import recorded
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.scenes.reading import load_scene

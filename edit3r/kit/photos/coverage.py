@@ -1,30 +1,22 @@
 """Which of many photos, and which frames of a video, to use: few that together show what all show.
 
-Both are files; frames, and pictures from memory, only inside a block of `temporary_photos`.
+Two images share what their features (ORB, Rublee et al. 2011) have in common. Photos are chosen
+greedily, each time the one that shows most of what those chosen so far do not (facility location;
+Krause and Golovin 2014, section 1).
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from contextvars import ContextVar
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say, track, warn
-from edit3r.kit.files.atomic import scratch_folder
 from edit3r.kit.photos.decode import MAX_PIXELS, read_image
-from edit3r.kit.photos.overlap import (
-    SIDE,
-    ImageFeatures,
-    covering,
-    features_of,
-    motion,
-    shared,
-)
+from edit3r.kit.photos.temporary import taken_photos
 
 # The numbers of this block: no figures kept.
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
@@ -34,53 +26,19 @@ MAX_COMPARED = 90  # frames of a video
 MAX_FRAMES = 200_000
 SECONDS = 4  # of a core, that a frame's part of a scene usually takes
 MIN_MOTION = 0.01  # median, between frames that are kept [image widths]
+SIDE = 400  # longer side of the images that are compared [pixels]
+FEATURES = 600  # of an image
+MAX_HAMMING = 48  # bits of 256 in which the features of one point may differ
+MIN_SHARED = 0.04  # share of features that two neighbours have in common
 
 
-class TakenPhotos:
-    """Photos that are files for a while: frames of videos, pictures from memory."""
+@dataclass(frozen=True)
+class ImageFeatures:
+    """What a small copy of an image shows."""
 
-    def __init__(self) -> None:
-        self.folders = ExitStack()  # closed, it removes them
-        self.origins: dict[Path, str] = {}  # what each is of, as people know it
-
-    def new_folder(self, name: str) -> Path:
-        """A new folder that lasts as long as these photos do."""
-        return self.folders.enter_context(scratch_folder(name))
-
-
-_taken: ContextVar[TakenPhotos | None] = ContextVar("edit3r_photos", default=None)
-
-
-def taken_photos() -> TakenPhotos:
-    """Those of the block of `temporary_photos` around the call; there must be one."""
-    taken = _taken.get()
-    if taken is None:
-        raise RuntimeError(
-            "frames of a video and pictures in memory become files inside a block of "
-            "edit3r.kit.photos.coverage.temporary_photos() only, and none is around this call."
-        )
-    return taken
-
-
-@contextmanager
-def temporary_photos() -> Iterator[None]:
-    """Remove photos that are made inside the block when it ends; of nested ones, the outer one."""
-    if _taken.get() is not None:
-        yield
-        return
-    taken = TakenPhotos()
-    token = _taken.set(taken)
-    try:
-        with taken.folders:
-            yield
-    finally:
-        _taken.reset(token)
-
-
-def origin(file: Path) -> str:
-    """The file as people know it: for a frame of a video, the video and the frame's number."""
-    taken = _taken.get()
-    return str(file) if taken is None else taken.origins.get(file, str(file))
+    points: Float[np.ndarray, "feature 2"]  # [image widths]
+    descriptors: UInt8[np.ndarray, "feature 32"] | None
+    sharpness: float  # variance of the Laplacian
 
 
 @dataclass(frozen=True)
@@ -185,3 +143,63 @@ def _write(frames: Sequence[VideoFrame], video: Path) -> list[Path]:
         taken.origins[file] = f"{video}, frame {frame.number}"
         files.append(file)
     return files
+
+
+def features_of(pixels: UInt8[np.ndarray, "height width 3"]) -> ImageFeatures:
+    """Features and sharpness of an RGB image, measured on a copy of `SIDE` pixels."""
+    scale = SIDE / max(pixels.shape[:2])
+    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
+    orb = cv2.ORB.create(FEATURES, fastThreshold=7)
+    keypoints, descriptors = orb.detectAndCompute(grey, None)  # None: no mask
+    points = cv2.KeyPoint.convert(keypoints)
+    points = np.reshape(points, (-1, 2)).astype(np.float64) / grey.shape[1]
+    return ImageFeatures(points, descriptors, cv2.Laplacian(grey, cv2.CV_64F).var())
+
+
+def motion(first: ImageFeatures, second: ImageFeatures) -> float:
+    """Median displacement of what both show [image widths]; infinite where they share little."""
+    pairs = _matches(first, second)
+    if len(pairs) < max(1, MIN_SHARED * len(first.points)):
+        return float("inf")
+    moved = first.points[pairs[:, 0]] - second.points[pairs[:, 1]]
+    return float(np.median(np.linalg.norm(moved, axis=1)))
+
+
+def shared(images: Sequence[ImageFeatures]) -> Float[np.ndarray, "photo photo"]:
+    """For each pair the share of features that both show, in [0, 1]; 1 on the diagonal."""
+    result = np.eye(len(images))
+    for i, first in enumerate(images):
+        for j, second in enumerate(images[:i]):
+            fewer = max(1, min(len(first.points), len(second.points)))
+            result[i, j] = result[j, i] = len(_matches(first, second)) / fewer
+    return result
+
+
+def covering(common: Float[np.ndarray, "photo photo"], most: int) -> list[int]:
+    """Indices, in order, of at most `most` photos that show most of what all show.
+
+    Each is linked to another of them where that is possible.
+    """
+    chosen: list[int] = []
+    best = np.zeros(len(common))  # how much of each photo those chosen show
+    while len(chosen) < min(most, len(common)):
+        gains = np.maximum(common - best[:, None], 0).sum(0)
+        free = np.ones(len(common), bool)
+        free[chosen] = False
+        linked = free & (best >= MIN_SHARED)
+        eligible = linked if linked.any() else free
+        chosen.append(int(np.argmax(np.where(eligible, gains, -1))))
+        best = np.maximum(best, common[:, chosen[-1]])
+    return sorted(chosen)
+
+
+def _matches(first: ImageFeatures, second: ImageFeatures) -> np.ndarray:
+    """Index pairs of features that are each other's nearest and alike."""
+    pairs = []
+    if first.descriptors is not None and second.descriptors is not None:
+        matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+        for match in matcher.match(first.descriptors, second.descriptors):
+            if match.distance < MAX_HAMMING:
+                pairs.append((match.queryIdx, match.trainIdx))
+    return np.array(pairs, dtype=int).reshape(-1, 2)

@@ -31,9 +31,7 @@ from edit3r.kit.photos.coverage import (
     USUAL_FRAMES,
     VIDEO_SUFFIXES,
     choose_photos,
-    origin,
     take_frames,
-    temporary_photos,
 )
 from edit3r.kit.photos.decode import (
     DEVELOP,
@@ -44,7 +42,6 @@ from edit3r.kit.photos.decode import (
     read_image,
 )
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
-from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.kit.photos.intrinsics import (
     Intrinsics,
     IntrinsicsFinder,
@@ -52,6 +49,12 @@ from edit3r.kit.photos.intrinsics import (
     known_poses,
 )
 from edit3r.kit.photos.only_photos import MADE_HERE, only_photos
+from edit3r.kit.photos.temporary import (
+    Pictures,
+    as_files,
+    origin,
+    temporary_photos,
+)
 
 __all__ = [
     "SUFFIXES",
@@ -128,7 +131,6 @@ def load_photos(
     size: int | None = 512,
     names: Sequence[str] | None = None,
     most: int | None = None,
-    read_lens: Callable[[Views], Lens | None] | None = None,
 ) -> LoadedPhotos:
     """Read photos, given as files and folders (a folder's images come in natural order), or as
     arrays, tensors and PIL images.
@@ -136,12 +138,26 @@ def load_photos(
     Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov`
     (horizontal [degrees]), else EXIF, else a stated default. Poses come along where one camera file
     has them for all photos. `size` bounds the longer side [pixels]; None keeps the photos' own. At
-    most `most` are used, those that cover the scene. Photos of one size whose lens nobody knows are
-    straightened where `read_lens` tells from them that it bends straight lines. Raises InputError
-    for anything that cannot be used, in one sentence that names the file.
+    most `most` are used, those that cover the scene. Raises InputError for anything that cannot be
+    used, in one sentence that names the file.
     """
     _check_arguments(fov, size)
     files = choose_photos(find_photos(paths, max(USUAL_FRAMES, most or 0)), most)
+    return read_photos(files, fov=fov, cameras=cameras, size=size, names=names)
+
+
+def read_photos(
+    files: Sequence[Path],
+    *,
+    fov: float | None = None,
+    cameras: str | Path | None = None,
+    size: int | None = 512,
+    names: Sequence[str] | None = None,
+    read_lens: Callable[[Views], Lens | None] | None = None,
+) -> LoadedPhotos:
+    """`load_photos` of files that were found and chosen. Photos of one size whose lens nobody knows
+    are straightened where `read_lens` tells from them that it bends straight lines.
+    """
     finder = IntrinsicsFinder(cameras, fov)
     finder.check_all_used(files)
     names = _names(files, names)

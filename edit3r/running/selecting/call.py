@@ -24,7 +24,7 @@ from edit3r.contract.types import Views
 from edit3r.kit import asking
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
-from edit3r.kit.photos.in_memory import Pictures
+from edit3r.kit.photos.temporary import Pictures
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
 from edit3r.running.geometry import default_matcher, geometry_of

@@ -13,14 +13,10 @@ from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.photos.coverage import (
-    USUAL_FRAMES,
-    choose_photos,
-    origin,
-    temporary_photos,
-)
-from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
+from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos
+from edit3r.kit.photos.images import LoadedPhotos, find_photos, read_photos
 from edit3r.kit.photos.masks import read_mask
+from edit3r.kit.photos.temporary import origin, temporary_photos
 from edit3r.running.job import RunJob
 from edit3r.running.measuring import with_what_is_known
 from edit3r.running.records import Inputs
@@ -107,7 +103,7 @@ def _read_files(
     """All photos that were found, and the inputs of those that are used."""
     config = job.config
     files = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
-    loaded = load_photos(
+    loaded = read_photos(
         choose_photos(files, config.views),
         fov=config.fov,
         size=config.size,

@@ -17,6 +17,7 @@ from edit3r.kit.photos.images import (
     find_photos,
     load_photos,
     load_views,
+    read_photos,
     save_image,
 )
 
@@ -406,7 +407,7 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
 ):
     lens = Lens((0.9, 1.2), (0.5, 0.5), (-0.1, 0.0, 0.0, 0.0, 0.0))
     files = [photo(tmp_path / f"{index}.png", seed=index) for index in range(3)]
-    plain, found = load_photos(files), load_photos(files, read_lens=lambda views: lens)
+    plain, found = read_photos(files), read_photos(files, read_lens=lambda views: lens)
     assert (
         all(one.frame.lens == lens for one in found.photos)
         and found.views.assumed == plain.views.assumed
@@ -416,7 +417,7 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
         found.views.images[0, 1],
         torch.from_numpy(np.array(straight, np.float32) / 255).permute(2, 0, 1),
     )
-    wide = load_photos(
+    wide = read_photos(
         files,
         read_lens=lambda views: Lens(
             lens.focal, lens.centre, (0.1, 0.0, 0.0, 0.0, 0.0)
@@ -425,7 +426,7 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
     # cropped: no dark corners
     assert (wide.views.intrinsics[..., 0, 0] > plain.views.intrinsics[..., 0, 0]).all()
     assert torch.equal(
-        load_photos(files, read_lens=lambda views: None).views.images,
+        read_photos(files, read_lens=lambda views: None).views.images,
         plain.views.images,
     )
 
@@ -434,8 +435,8 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
             "asked for the lens of photos that are of several or of a known one"
         )
 
-    load_photos(files, fov=50, read_lens=never)
-    load_photos([*files, photo(tmp_path / "other.png", size=(60, 30))], read_lens=never)
+    read_photos(files, fov=50, read_lens=never)
+    read_photos([*files, photo(tmp_path / "other.png", size=(60, 30))], read_lens=never)
 
 
 def test_a_camera_file_beside_the_photos_is_named_and_can_be_ignored(tmp_path):

@@ -1,8 +1,11 @@
-"""Photos that a program holds in memory (arrays, tensors, PIL images, bytes of files), as files: so
-they go through the one door that files go through.
+"""Photos that are files for a while, inside a block of `temporary_photos`: frames of videos, and
+what a program holds in memory (arrays, tensors, PIL images, bytes of files), so that all photos go
+through the one door that files go through.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.coverage import taken_photos
+from edit3r.kit.files.atomic import scratch_folder
 
 EXPECTED = (
     "files, arrays [height, width, 3] of bytes or of floats in [0, 1], tensors [3, height, width], "
@@ -21,6 +24,53 @@ EXPECTED = (
 _CHANNELS = (1, 3, 4)
 Picture = str | Path | bytes | np.ndarray | Tensor | Image.Image
 Pictures = Picture | Sequence[Picture]
+
+
+class TakenPhotos:
+    """Photos that are files for a while: frames of videos, pictures from memory."""
+
+    def __init__(self) -> None:
+        self.folders = ExitStack()  # closed, it removes them
+        self.origins: dict[Path, str] = {}  # what each is of, as people know it
+
+    def new_folder(self, name: str) -> Path:
+        """A new folder that lasts as long as these photos do."""
+        return self.folders.enter_context(scratch_folder(name))
+
+
+_taken: ContextVar[TakenPhotos | None] = ContextVar("edit3r_photos", default=None)
+
+
+def taken_photos() -> TakenPhotos:
+    """Those of the block of `temporary_photos` around the call; there must be one."""
+    taken = _taken.get()
+    if taken is None:
+        raise RuntimeError(
+            "frames of a video and pictures in memory become files inside a block of "
+            "edit3r.kit.photos.temporary.temporary_photos() only, and none is around this call."
+        )
+    return taken
+
+
+@contextmanager
+def temporary_photos() -> Iterator[None]:
+    """Remove photos that are made inside the block when it ends; of nested ones, the outer one."""
+    if _taken.get() is not None:
+        yield
+        return
+    taken = TakenPhotos()
+    token = _taken.set(taken)
+    try:
+        with taken.folders:
+            yield
+    finally:
+        _taken.reset(token)
+
+
+def origin(file: Path) -> str:
+    """The file as people know it: for a frame of a video, the video and the frame's number."""
+    taken = _taken.get()
+    return str(file) if taken is None else taken.origins.get(file, str(file))
 
 
 def as_files(photos: Any, name: str = "photos") -> list[str | Path]:
