@@ -19,11 +19,11 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 import torch
+from edit3r_select.by_segmenter import select_masks
 from edit3r_select.marks import marks_on
 from edit3r_select.obeying import points_of, seen_elsewhere
 from edit3r_select.photos import Photos
 from edit3r_select.ranking import CueWeights
-from edit3r_select.select import select_masks
 from harness import run_benchmark
 from PIL import Image, ImageDraw
 

@@ -21,7 +21,7 @@ from harness import Row, run_benchmark
 from edit3r import build
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Gaussians
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.reading import load_scene
 

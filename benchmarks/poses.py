@@ -53,7 +53,7 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view, intrinsics_from_fov
 from edit3r.kit.geometry.rotations import rotation_angle
-from edit3r.kit.photos.cameras import PosedCamera
+from edit3r.kit.photos.camera_files import PosedCamera
 from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.intrinsics import DEFAULT_FOV
 from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder

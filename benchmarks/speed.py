@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import torch
-from edit3r_select.select import select_masks
+from edit3r_select.by_segmenter import select_masks
 from harness import run_benchmark
 from PIL import Image
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from edit3r_model.edit_fusion_head import EditFusionHead
+from edit3r_model.matched_unet import MatchedUNet
 from edit3r_model.reconstructor import Edit3rReconstructor
-from edit3r_model.small_backbone import MatchedUNet
-from edit3r_model.small_head import EditFusionHead
 
 import edit3r
 from edit3r.cli.main import main
@@ -23,7 +23,7 @@ from edit3r.kit.geometry.cameras import (
     pixel_scales,
     pixels_to_gaussians,
 )
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.loading.load import load_plugins
 from edit3r.loading.registry import Registry, default_registry

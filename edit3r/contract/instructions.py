@@ -24,6 +24,7 @@ BENEATH = "under it"
 """`Target.of` of what the instruction's own thing stands on, whose colour it may take."""
 
 Box = tuple[float, float, float, float]
+"""x, y, width, height [shares of a view's sides]."""
 
 
 @dataclass(frozen=True)

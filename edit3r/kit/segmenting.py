@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MaskLogits, Proposal, Segmenter
+from edit3r.contract.interfaces import Box, MaskLogits, Proposal, Segmenter
 from edit3r.contract.reporting import progress
 from edit3r.kit import asking
 from edit3r.kit.compute.outlines import soft_edged
@@ -17,8 +17,6 @@ from edit3r.kit.geometry.maps import size_of
 STABILITY_OFFSET = 1.0  # logits
 UNKNOWN_QUALITY = 0.5  # of a mask whose segmenter cannot tell it
 SAME_BOX = 0.7  # overlap of boxes above which the better of two masks stays
-
-Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class AutomaticMask(Proposal):
 def mask_in_box(
     segmenter: Segmenter, image: Float[Tensor, "3 height width"], box: Box
 ) -> Float[Tensor, "height width"]:
-    """The best mask for a box (x, y, width, height in [0, 1]), soft, in [0, 1]."""
+    """The best mask for a box, soft, in [0, 1]."""
     answer = asking.masks(segmenter, image, (), box)
     best = 0 if answer.quality is None else int(answer.quality.argmax())
     return _softened(image, answer.logits[best])

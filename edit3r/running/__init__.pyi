@@ -41,7 +41,7 @@ from .run_folder import (
 from .scene_input import (
     SCENE_ENDINGS as SCENE_ENDINGS,
     SceneInput as SceneInput,
-    read_scene as read_scene,
+    make_scene_input as make_scene_input,
 )
 from .selecting.call import select_with as select_with, usual_selector as usual_selector
 from .selecting.marks import MarkTexts as MarkTexts

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras, Views
-from edit3r.kit.photos.cameras import intrinsics_from_outside, pose_from_outside
+from edit3r.kit.photos.camera_files import intrinsics_from_outside, pose_from_outside
 
 MAX_FOCAL = 100.0
 """[image sides], a view of half a degree: a longer focal length is believed to be in pixels.

@@ -4,7 +4,9 @@ from collections.abc import Callable
 
 import torch
 
-from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.component import component_name
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting, stage
 from edit3r.contract.torch_state import in_usual_torch, require_device
 from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
@@ -31,7 +33,6 @@ from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
 from edit3r.running.steps.select import (
     as_many_as_fit,
-    load,
     require_answer,
     require_known_words,
     select,
@@ -61,7 +62,7 @@ def run(
     with collecting(report), using(cache):
         inputs, components = _begin(job, registry or default_registry())
         components.rasterizer.prepare(torch.device(job.config.device).type)
-        inputs = load(inputs, components)
+        inputs = _to_device(inputs, components)
         records = _records(inputs, components, on_edited)
     return RunResult(records, components, report, cache)
 
@@ -132,7 +133,7 @@ def preview(
     """
     with collecting(report or Report()), using(job.cache or Cache()):
         inputs, components = _begin(job, registry or default_registry())
-        inputs = load(inputs, components)
+        inputs = _to_device(inputs, components)
         selection = select(inputs, Located(), components)
         used = as_many_as_fit(inputs.start, components.reconstructor)
         inputs, selection = inputs.select(used), selection.select(used)
@@ -177,3 +178,15 @@ def _begin(job: RunJob, registry: Registry) -> tuple[Inputs, Components]:
         components.start_from(inputs.scene.views.scene)
     components.settle_matcher(inputs.photos)
     return inputs, components
+
+
+def _to_device(inputs: Inputs, components: Components) -> Inputs:
+    """Inputs on the run's device. Raises InputError for fewer photos than are needed."""
+    with stage("load components"):
+        count, reconstructor = inputs.start.count, components.reconstructor
+        if count < reconstructor.min_views:
+            raise InputError(
+                f"{component_name(reconstructor)} needs at least {reconstructor.min_views} photos "
+                f"of the same scene, got {count}; add photos taken from other places."
+            )
+        return inputs.to(components.config.device)

@@ -42,7 +42,7 @@ from edit3r.kit.contact_sheet import (
 )
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.geometry.harmonics import dc_to_colour
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.running.before import colours_before

@@ -30,7 +30,7 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.cameras import scale_poses
-from edit3r.kit.photos.cameras import (
+from edit3r.kit.photos.camera_files import (
     intrinsics_from_outside,
     pose_from_outside,
     posed_cameras,

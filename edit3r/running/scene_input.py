@@ -16,7 +16,7 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.geometry.cameras import to_pixels
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import Photo, evenly
 from edit3r.kit.scenes.axes import turned
@@ -161,7 +161,7 @@ def is_scene(path: str | Path) -> bool:
     )
 
 
-def read_scene(
+def make_scene_input(
     scene: Path | Gaussians,
     rasterizer: Rasterizer,
     *,

@@ -13,7 +13,7 @@ import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.settings import of_file
 from edit3r.kit.files.configs import parse_yaml
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import path_around, render_each
 from edit3r.running import RunConfig

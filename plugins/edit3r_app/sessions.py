@@ -36,7 +36,7 @@ from edit3r.running import (
     SceneInput,
     default_matcher,
     geometry_answer,
-    read_scene,
+    make_scene_input,
 )
 from edit3r_app.jobs import JobsFolder
 from edit3r_app.uploads import looked_at
@@ -307,7 +307,7 @@ class Sessions:
         file, cameras = splat
         rasterizer = self.registry.build_choice("rasterizer", RunConfig().rasterizer)
         known = None if self.folder.is_run(state) else looked_at(file)
-        return known or read_scene(file, rasterizer, cameras=cameras)
+        return known or make_scene_input(file, rasterizer, cameras=cameras)
 
     def _geometry(self, photos: Views, session: Session) -> GeometryAnswer:
         """Poses and depths, as a run with the default reconstructor finds them."""

@@ -20,12 +20,12 @@ import edit3r
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.kit.photos.decode import READABLE, decode
 from edit3r.kit.photos.images import SUFFIXES, save_image
 from edit3r.kit.photos.temporary import temporary_photos
-from edit3r.running import SCENE_ENDINGS, SceneInput, read_scene
+from edit3r.running import SCENE_ENDINGS, SceneInput, make_scene_input
 from edit3r_app.jobs import SPLAT, JobsFolder
 
 DRAFT = ".upload-"  # how names of files begin that are still being received
@@ -160,7 +160,7 @@ def looked_at(file: Path) -> SceneInput | None:
 
 def _looked_at(file: Path, up: str | None = None) -> SceneInput:
     rasterizer = edit3r.build("rasterizer", "auto")
-    return read_scene(file, rasterizer, cameras="none", up=up)
+    return make_scene_input(file, rasterizer, cameras="none", up=up)
 
 
 def _keep_pictures(folder: JobsFolder, scene: str, looked: SceneInput) -> None:

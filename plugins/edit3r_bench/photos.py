@@ -18,7 +18,7 @@ from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.reporting import track, warn
 from edit3r.kit.command.results import make_folder
-from edit3r.kit.photos.cameras import CAMERA_FILES, read_cameras
+from edit3r.kit.photos.camera_files import CAMERA_FILES, read_cameras
 from edit3r.kit.photos.images import evenly, find_photos, load_photos, save_image
 from edit3r.kit.photos.triples import choose_triples
 from edit3r.kit.service import ChatModel

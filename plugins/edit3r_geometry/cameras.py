@@ -91,7 +91,7 @@ class Pose:
 
     @staticmethod
     def from_matrix(matrix: Float[np.ndarray, "4 4"]) -> "Pose":
-        """Inverse of `matrix`."""
+        """The motion that a 4x4 matrix is; nothing is inverted."""
         return Pose(matrix[:3, :3], matrix[:3, 3])
 
     @property

@@ -27,6 +27,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import GivenScene, Views
+from edit3r.kit.compute.outlines import box_around
 from edit3r.kit.geometry.cameras import project_to_pixels
 from edit3r.kit.rendering import render_numbers
 from edit3r.running import usual_selector
@@ -124,7 +125,7 @@ class InSceneSelector(Selector, StartsFromScene):
         """The thing on a further picture, clicked on where it surely is; None for another one."""
         marks = Selection(
             positive=tuple((0, *place) for place in _inner(expected)),
-            boxes={0: _box_of(expected)},
+            boxes={0: box_around(expected.numpy() > 0.5)},
         )
         mask = self.usual.select(view, marks, None).masks[0, 0]
         both, either = (mask > 0.5) & (expected > 0.5), (mask > 0.5) | (expected > 0.5)
@@ -306,11 +307,3 @@ def _inner(mask: Mask) -> list[tuple[float, float]]:
     row, column = np.unravel_index(int(depth.argmax()), depth.shape)
     height, width = depth.shape
     return [((int(column) + 0.5) / width, (int(row) + 0.5) / height)]
-
-
-def _box_of(mask: Mask) -> tuple[float, float, float, float]:
-    """The box around a thing [shares of the sides]."""
-    height, width = mask.shape
-    x, y, across, down = cv2.boundingRect((mask.numpy() > 0.5).astype(np.uint8))
-    across, down = max(across, 1), max(down, 1)
-    return x / width, y / height, across / width, down / height

@@ -2,10 +2,11 @@
 
 `reconstructor` has the reconstructors `edit3r` and `noposplat`: a backbone, a head, and one of two
 forms. `matched_form`, with the small network whose weights ship, carries edits between views over
-matched geometry: `small_backbone` and `small_head`, whose trained parts are in `edit_fusion` and
-whose rules are in `edited_views`, `colour_function` and `disagreement`.
-`single_pass`, with the full network, finds geometry by itself: `view_fitting`, then `backbone` (of
-blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`.
+matched geometry: `matched_unet` and `edit_fusion_head`, whose trained parts are in `edit_fusion`
+and whose rules are in `edited_views`, `colour_function` and `disagreement`.
+`single_pass`, with the full network, finds geometry by itself: `view_fitting`, then
+`asymmetric_vit` (of blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in
+`gaussian_adapter`.
 
 `network` gives the parts their weights, which `checkpoints` and `official_checkpoints` read;
 `engine` chooses the precision and brings loaded layers into it; `memory` has the limits. Written
@@ -49,11 +50,11 @@ _CITATION = (
 def register_backbones():
     about = "small U-Net over photos and matched geometry"
     small = Component(
-        "matched-unet", "edit3r_model.small_backbone:MatchedUNet", about, min_views=2
+        "matched-unet", "edit3r_model.matched_unet:MatchedUNet", about, min_views=2
     )
     full = Component(
         "asymmetric-vit",
-        "edit3r_model.backbone:AsymmetricViT",
+        "edit3r_model.asymmetric_vit:AsymmetricViT",
         "shared ViT encoder with intrinsics token, one decoder for view 0 and one for all other "
         "views",
         min_views=2,
@@ -67,7 +68,7 @@ def register_heads():
     about = "carries and fuses the edits over matched geometry; goes with any backbone"
     small = Component(
         "edit-fusion",
-        "edit3r_model.small_head:EditFusionHead",
+        "edit3r_model.edit_fusion_head:EditFusionHead",
         about,
         parts=("backbone",),
         min_views=2,

@@ -20,7 +20,7 @@ from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
 from edit3r.contract.settings import Count
 from edit3r.contract.types import Features, Gaussians, Views
-from edit3r_model.backbone import ROLES
+from edit3r_model.asymmetric_vit import ROLES
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
 from edit3r_model.memory import construct
 

@@ -13,7 +13,7 @@ from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r_model.colour_function import CHANNELS, change_of
 from edit3r_model.layers import Conv2d
-from edit3r_model.small_backbone import (
+from edit3r_model.matched_unet import (
     STRIDE,
     UPSAMPLING,
     GlobalBlock,

@@ -26,8 +26,8 @@ from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.maps import resize, size_of
 from edit3r_model.guesses import pushed_back
+from edit3r_model.matched_unet import averaged
 from edit3r_model.network import GaussianNetwork
-from edit3r_model.small_backbone import averaged
 
 ROUNDING = 1e-5
 """Differences of colour [sRGB] that come from turning colours into harmonics and back."""

@@ -18,7 +18,7 @@ from edit3r import default_registry
 from edit3r.contract.interfaces import Detection, Detector, Selection, Selector
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit import asking
-from edit3r.kit.compute.outlines import overlap
+from edit3r.kit.compute.outlines import box_around, overlap
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.running import usual_selector
 
@@ -219,16 +219,9 @@ def _seen_again(
     row, column = np.unravel_index(inside.argmax(), inside.shape)
     height, width = expected.shape
     place = ((column + 0.5) / width, (row + 0.5) / height)
-    marks = Selection(positive=((0, *place),), boxes={0: _box_of(expected)})
+    marks = Selection(positive=((0, *place),), boxes={0: box_around(expected)})
     mask, _ = _selected(photo, marks, selector)
     return mask if overlap(mask & known, expected) >= SAME else None
-
-
-def _box_of(mask: Mask) -> tuple[float, float, float, float]:
-    """The box around a mask [shares of the photo's sides]."""
-    height, width = mask.shape
-    x, y, across, down = cv2.boundingRect(mask.astype(np.uint8))
-    return x / width, y / height, across / width, down / height
 
 
 def _behind(mask: Mask, depth: Float[np.ndarray, "height width"]) -> bool:

@@ -181,11 +181,11 @@ def photometric_loss(
     difference = (image - target).abs().mean()
     if ssim == 0:
         return difference
-    dissimilarity = (1 - structural_similarity(image, target)) / 2
+    dissimilarity = (1 - differentiable_ssim(image, target)) / 2
     return (1 - ssim) * difference + ssim * dissimilarity
 
 
-def structural_similarity(
+def differentiable_ssim(
     a: Float[Tensor, "c height width"], b: Float[Tensor, "c height width"]
 ) -> Float[Tensor, ""]:
     """Return the mean SSIM over all windows inside the image; an image smaller than a window gets a

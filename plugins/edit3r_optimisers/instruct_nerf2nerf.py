@@ -28,7 +28,7 @@ class InstructNerf2NerfReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        every: int = Field(10, ge=1)
+        edit_every: int = Field(10, ge=1)
         """steps between edits (paper: 10)"""
         least_strength: float = Field(0.5, ge=0, le=1)
         """least share of a render that an edit redraws"""
@@ -82,7 +82,7 @@ class DatasetUpdate(TargetImages):
         self.updates = 0
 
     def before_step(self, step: int, scene: Callable[[], Gaussians]) -> None:
-        if step % self.settings.every == 0:
+        if step % self.settings.edit_every == 0:
             self._update(scene())
 
     @torch.no_grad()

@@ -17,7 +17,7 @@ from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.kit import asking
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.photos.cameras import PosedCamera, read_cameras, read_scene_cameras
+from edit3r.kit.photos.camera_files import PosedCamera, read_cameras, read_scene_cameras
 from edit3r.kit.photos.images import read_image
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.look import camera_file_of, look_at

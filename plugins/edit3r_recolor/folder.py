@@ -22,7 +22,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
 from edit3r.kit.contact_sheet import draw_sheet
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.photos.images import (
     LoadedPhotos,
     Photo,

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from edit3r import Views, default_registry
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Segmenter, Selection, Tracks
+from edit3r.contract.interfaces import PixelBox, Segmenter, Selection, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
 from edit3r.kit import asking
@@ -87,8 +87,7 @@ class RegionRecipe:
     area: float  # share of the first view
     stability: float
     predicted_iou: float
-    # x, y, width, height on the first view [pixels]
-    box: tuple[float, float, float, float]
+    box: PixelBox  # on the first view
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 

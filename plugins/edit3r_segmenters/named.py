@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import build, default_registry
-from edit3r.contract.interfaces import Detection, Proposal, Segmenter
+from edit3r.contract.interfaces import Detection, PixelBox, Proposal, Segmenter
 from edit3r.kit import asking
 from edit3r.kit.segmenting import mask_in_box
 from edit3r.kit.weights.find import at_hand
@@ -26,8 +26,6 @@ SHARE = 0.45  # of the best box's score that other things of its name must reach
 PART = 0.7  # share of a box inside a better one from which it is only a part of that
 MAX_THINGS = 8
 SLOPE, HALF = 2.2, 0.42  # of a logistic curve over the logarithm of NanoDet's score
-
-Box = tuple[float, float, float, float]
 
 
 def named(
@@ -84,7 +82,7 @@ def _distinct(detections: Sequence[Detection]) -> list[Detection]:
     return kept
 
 
-def _inside(box: Box, other: Box) -> float:
+def _inside(box: PixelBox, other: PixelBox) -> float:
     """Share of a box that another one holds."""
     (x, y, width, height), (left, top, across, down) = box, other
     shared_width = min(x + width, left + across) - max(x, left)

@@ -10,7 +10,7 @@ def register_selectors():
     return [
         Component(
             "by-segmenter",
-            "edit3r_select.select:SegmenterSelector",
+            "edit3r_select.by_segmenter:SegmenterSelector",
             "a segmenter's answers on each photo, carried to the others by geometry",
             parts=("segmenter",),
         )

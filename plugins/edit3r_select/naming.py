@@ -13,6 +13,7 @@ from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
     SURE,
+    Box,
     Candidate,
     Proposal,
     Segmenter,
@@ -311,8 +312,8 @@ def _options(
     return options
 
 
-def _share_of(photos: Photos, one: Proposal) -> tuple[float, float, float, float]:
-    """The box of a proposal [shares of the sides]."""
+def _share_of(photos: Photos, one: Proposal) -> Box:
+    """The box of a proposal."""
     height, width = photos.images.shape[-2:]
     x, y, across, down = one.box
     return x / width, y / height, across / width, down / height

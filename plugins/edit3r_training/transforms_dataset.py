@@ -18,7 +18,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.settings import Count
-from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera
+from edit3r.kit.photos.camera_files import CAMERA_FILES, PosedCamera
 from edit3r.kit.photos.decode import read_image
 from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.posed_folder import PosedFolder, read_posed_folder

@@ -19,7 +19,7 @@ from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.paths import interpolate_poses
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.files import scene_file

@@ -12,7 +12,7 @@ import edit3r
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 
 pytestmark = pytest.mark.slow

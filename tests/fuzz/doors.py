@@ -34,7 +34,7 @@ from edit3r.kit.cache import Cache
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.photos.cameras import (
+from edit3r.kit.photos.camera_files import (
     posed_cameras,
     read_cameras,
     read_scene_cameras,

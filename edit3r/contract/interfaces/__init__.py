@@ -8,6 +8,7 @@ the manifest and warnings go through `edit3r.contract.reporting` (`track`, `note
 
 from edit3r.contract.command import Command as Command
 from edit3r.contract.component import Configured as Configured
+from edit3r.contract.instructions import Box as Box
 from edit3r.contract.interfaces.editing import (
     ChangesShape as ChangesShape,
     ConditionedOnDepth as ConditionedOnDepth,
@@ -48,6 +49,7 @@ from edit3r.contract.interfaces.segmentation import (
     Detection as Detection,
     Detector as Detector,
     MaskLogits as MaskLogits,
+    PixelBox as PixelBox,
     Proposal as Proposal,
     Segmenter as Segmenter,
     Tracks as Tracks,
@@ -56,7 +58,6 @@ from edit3r.contract.interfaces.selection import (
     ASK as ASK,
     BACKGROUND as BACKGROUND,
     SURE as SURE,
-    Box as Box,
     Candidate as Candidate,
     Selected as Selected,
     Selection as Selection,

@@ -8,11 +8,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.component import Configured
+from edit3r.contract.instructions import Box
 
 Place = tuple[float, float]
 """x and y in [0, 1] of an image."""
 Click = tuple[Place, bool]
 """A place, and whether the object is there."""
+PixelBox = tuple[float, float, float, float]
+"""x, y, width, height [pixels]; what a person marks is a `Box` [shares of the sides]."""
 SUBJECT = "subject"
 """The word for what stands out most on a photo."""
 
@@ -40,8 +43,8 @@ class Proposal:
         return float((self.soft_mask > 0.5).float().mean())
 
     @property
-    def box(self) -> tuple[float, float, float, float]:
-        """x, y, width and height around it [pixels]; zeros where it is empty."""
+    def box(self) -> PixelBox:
+        """Around it; zeros where it is empty."""
         inside = self.soft_mask > 0.5
         rows, columns = inside.any(1).nonzero()[:, 0], inside.any(0).nonzero()[:, 0]
         if not len(rows):
@@ -70,10 +73,10 @@ class Segmenter(Configured, ABC):
         self,
         image: Float[Tensor, "3 height width"],
         clicks: Sequence[Click],
-        box: tuple[float, float, float, float] | None = None,
+        box: Box | None = None,
         before: Float[Tensor, "h w"] | None = None,
     ) -> MaskLogits:
-        """All masks for clicks and a box (x, y, width, height in [0, 1]), at least one of them.
+        """All masks for clicks and a box, at least one of them.
 
         `before` are the logits of the answer that the last click corrects.
         """
@@ -107,7 +110,7 @@ class Detection:
 
     label: str
     score: float  # in [0, 1]
-    box: tuple[float, float, float, float]  # x, y, width, height [pixels]
+    box: PixelBox
 
 
 class Detector(Configured, ABC):

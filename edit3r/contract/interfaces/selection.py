@@ -10,11 +10,10 @@ from torch import Tensor
 
 from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import Box
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.types import Views
 
-Box = tuple[float, float, float, float]
-"""x, y, width, height [shares of a view's sides]."""
 # confidence under which the run asks whether the right thing was found; docs/notes/selecting.md
 SURE = 0.63
 MOST_GROWN = 100_000  # pixels that an outline may move

@@ -5,6 +5,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
+from edit3r.contract.instructions import Box
+
 Mask = Bool[np.ndarray | torch.Tensor, "height width"]
 
 # how far a soft edge may reach [longer sides of the image]; no figure kept
@@ -52,6 +54,13 @@ def distance_to(
 ) -> Float[np.ndarray, "height width"]:
     """Distance [pixels] of every pixel to the nearest one of a mask; huge where it is empty."""
     return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+
+
+def box_around(mask: Bool[np.ndarray, "height width"]) -> Box:
+    """The box around a mask that is not empty."""
+    height, width = mask.shape
+    x, y, across, down = cv2.boundingRect(mask.astype(np.uint8))
+    return x / width, y / height, across / width, down / height
 
 
 def window_around(

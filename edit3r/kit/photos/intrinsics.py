@@ -17,7 +17,7 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, warn
 from edit3r.kit.geometry.cameras import from_pixels, intrinsics_from_fov
 from edit3r.kit.photos.camera_entries import CameraEntry, PosedCamera, Size
-from edit3r.kit.photos.cameras import SPLITS, camera_entries, camera_files_in
+from edit3r.kit.photos.camera_files import SPLITS, camera_entries, camera_files_in
 from edit3r.kit.photos.decode import ImageHeader
 
 DEFAULT_FOV = 60.0

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float64
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.cameras import (
+from edit3r.kit.photos.camera_files import (
     CAMERA_FILES,
     PosedCamera,
     camera_files_in,

@@ -10,7 +10,7 @@ from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.kit.geometry.rotations import cross_matrix
-from edit3r.kit.photos.cameras import (
+from edit3r.kit.photos.camera_files import (
     PosedCamera,
     camera_files_in,
     posed_cameras,

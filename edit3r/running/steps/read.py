@@ -20,7 +20,7 @@ from edit3r.kit.photos.temporary import origin, temporary_photos
 from edit3r.running.job import RunJob
 from edit3r.running.measuring import with_what_is_known
 from edit3r.running.records import Inputs
-from edit3r.running.scene_input import SceneInput, read_scene
+from edit3r.running.scene_input import SceneInput, make_scene_input
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.unit import has_given_poses, own_unit
 
@@ -42,7 +42,7 @@ def read(
     with stage("read photos"):
         masks = job.masks
         if job.scene is not None:
-            inputs = _read_scene(job, rasterizer())
+            inputs = _pictures_of_scene(job, rasterizer())
             inputs = replace(inputs, prompts=(job.config.prompt,))
             return _with_marks(inputs, masks, job.components["reader"])
         if job.earlier is not None:
@@ -65,7 +65,7 @@ def read(
         return _in_own_unit(inputs)
 
 
-def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
+def _pictures_of_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
     """Pictures of the given scene in place of photos."""
     config, scene = job.config, job.scene
     assert scene is not None
@@ -75,7 +75,7 @@ def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
             "take one."
         )
     if not isinstance(scene, SceneInput):
-        scene = read_scene(
+        scene = make_scene_input(
             scene,
             rasterizer,
             views=config.views,

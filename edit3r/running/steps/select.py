@@ -105,15 +105,6 @@ def require_answer(
             )
 
 
-def load(inputs: Inputs, components: Components) -> Inputs:
-    """Move the inputs to the run's device. Raises InputError for fewer photos than the
-    reconstructor needs.
-    """
-    with stage("load components"):
-        _require_enough(inputs.start, components.reconstructor)
-        return inputs.to(components.config.device)
-
-
 def as_many_as_fit(views: Views, reconstructor: Reconstructor) -> list[int]:
     """Indices of the views to use: all, or as many as the reconstructor takes, evenly spaced."""
     count, most = views.count, reconstructor.max_views
@@ -123,14 +114,6 @@ def as_many_as_fit(views: Views, reconstructor: Reconstructor) -> list[int]:
     name = component_name(reconstructor)
     warn(f"{name} takes at most {most} views; of {count} these are used: {chosen}.")
     return chosen
-
-
-def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
-    if views.count < reconstructor.min_views:
-        raise InputError(
-            f"{component_name(reconstructor)} needs at least {reconstructor.min_views} photos of "
-            f"the same scene, got {views.count}; add photos taken from other places."
-        )
 
 
 def _regions(

@@ -13,7 +13,7 @@ from edit3r.contract import settings as config
 from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.scenes.ply import load_ply
 

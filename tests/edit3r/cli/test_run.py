@@ -12,7 +12,7 @@ from PIL import Image
 import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import RunError
-from edit3r.kit.photos.cameras import posed_cameras, read_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, read_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.running import pipeline
 

@@ -11,11 +11,11 @@ from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Views
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.kit.scenes.scene_views import BACKGROUND, look_around
-from edit3r.running.scene_input import read_scene
+from edit3r.running.scene_input import make_scene_input
 from tests.plugins.scan import of_ball, scan
 
 QUICK = {"size": 48, "views": 4, "outputs": ("scene",)}
@@ -140,7 +140,10 @@ def test_a_camera_that_sees_nothing_of_the_scene_is_left_out_with_its_name(tmp_p
     cameras.c2w[0, 1, :3, [0, 2]] *= -1  # looks away
     names = ["a.png", "b.png", "c.png"]
     write_cameras(tmp_path / "cameras.json", posed_cameras(cameras, names))
-    assert read_scene(tmp_path / "scan.ply", rasterizer).places.names == ("a", "c")
+    assert make_scene_input(tmp_path / "scan.ply", rasterizer).places.names == (
+        "a",
+        "c",
+    )
 
 
 def test_a_region_marked_on_a_picture_is_edited_from_the_command_line(tmp_path, capsys):

@@ -12,7 +12,7 @@ import edit3r
 from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras, Reconstruction, Rendering, Views
 from edit3r.kit.cache import Cache
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.scenes.ply import load_ply
 from edit3r.running.records import (

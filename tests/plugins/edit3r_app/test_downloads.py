@@ -9,7 +9,7 @@ from edit3r_app.jobs import JobsFolder
 
 from edit3r import Cameras, save_ply
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.loading.registry import default_registry
 from edit3r_testing import gaussian_cloud

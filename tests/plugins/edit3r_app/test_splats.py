@@ -49,7 +49,7 @@ def test_what_was_just_dropped_is_not_read_again(dropped, monkeypatch):
     assert looked_at(kept).file == kept
     assert looked_at(kept) is None  # it is not held twice
     uploads.turn_upright(folder, scene, "-y")
-    monkeypatch.setattr(sessions, "read_scene", None)  # called, it would raise
+    monkeypatch.setattr(sessions, "make_scene_input", None)  # called, it would raise
     given = looker.sessions.scene_of(scene)
     assert given.places.up == (0, -1, 0)
 

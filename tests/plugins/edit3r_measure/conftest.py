@@ -15,7 +15,7 @@ from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.kit.geometry.harmonics import colour_to_dc
-from edit3r.kit.photos.cameras import PosedCamera
+from edit3r.kit.photos.camera_files import PosedCamera
 from edit3r.kit.photos.posed_folder import read_posed_folder
 
 DEPTH = 4.0  # of the wall that all photos show

@@ -2,9 +2,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 from edit3r_model.edit_fusion import EditTransport
+from edit3r_model.edit_fusion_head import Choices, fuse_colours
 from edit3r_model.edited_views import Correspondences, EditedViews
-from edit3r_model.small_backbone import convex_upsample
-from edit3r_model.small_head import Choices, fuse_colours
+from edit3r_model.matched_unet import convex_upsample
 
 from edit3r.kit.geometry.cameras import pixel_grid
 

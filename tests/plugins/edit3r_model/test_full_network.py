@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from edit3r_model.backbone import assign_roles
+from edit3r_model.asymmetric_vit import assign_roles
 from edit3r_model.checkpoints import fill, load_weights
 from edit3r_model.dpt_head import double
 from edit3r_model.network import built

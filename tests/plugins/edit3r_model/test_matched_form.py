@@ -7,14 +7,14 @@ import pytest
 import skimage.data
 import torch
 import torch.nn.functional as F
-from edit3r_model.matched_form import network_grid
-from edit3r_model.small_head import (
+from edit3r_model.edit_fusion_head import (
     CONFLICT_OPACITY,
     Choices,
     Decisions,
     EditFusionHead,
     assemble,
 )
+from edit3r_model.matched_form import network_grid
 from edit3r_recolor.paint import paint
 
 from edit3r.contract.interfaces import GaussianHead, Geometry, Matcher

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from edit3r_model.backbone import AsymmetricViT
+from edit3r_model.asymmetric_vit import AsymmetricViT
 from edit3r_model.checkpoints import SHIPPED
-from edit3r_model.small_backbone import MatchedUNet
+from edit3r_model.matched_unet import MatchedUNet
 
 import edit3r
 from edit3r.cli.main import main

@@ -15,7 +15,7 @@ from edit3r.contract.types import EditRequest
 from edit3r_testing.scenes import gaussian_cloud
 
 SCHEDULE = InstructNerf2NerfReconstructor.Settings(
-    every=3, least_strength=0.5, most_strength=0.5
+    edit_every=3, least_strength=0.5, most_strength=0.5
 )
 ASK = EditRequest("invert", seed=5)
 

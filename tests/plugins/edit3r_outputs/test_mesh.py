@@ -11,7 +11,7 @@ from edit3r_outputs.mesh import mesh_of
 from edit3r import Cameras, Gaussians, build, save_ply
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.rendering import render_each
 
 SIZE = (64, 80)

@@ -14,7 +14,11 @@ from edit3r.kit.files.atomic import MARKER
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.rotations import quats_to_matrices
-from edit3r.kit.photos.cameras import posed_cameras, read_scene_cameras, write_cameras
+from edit3r.kit.photos.camera_files import (
+    posed_cameras,
+    read_scene_cameras,
+    write_cameras,
+)
 from edit3r.kit.photos.images import load_views, save_image
 from edit3r.kit.scenes.ply import load_ply, save_ply
 

@@ -6,7 +6,7 @@ import torch
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.kit.photos.cameras import PosedCamera, read_cameras, write_cameras
+from edit3r.kit.photos.camera_files import PosedCamera, read_cameras, write_cameras
 
 NAMES = ("img2", "img10")
 SIZE = (48, 64)  # height, width

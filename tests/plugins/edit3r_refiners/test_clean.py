@@ -12,7 +12,7 @@ from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import RefineInputs
 from edit3r.contract.types import Gaussians, Views
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.scenes.ply import load_ply, save_ply
 
 from .scenes import flat_wall, textured

@@ -3,7 +3,7 @@
 import pytest
 
 from edit3r.cli.main import main
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
 from edit3r.kit.scenes.ply import load_ply, save_ply
 
 from .scenes import textured

@@ -182,7 +182,7 @@ def test_a_detector_of_any_word_is_asked_first_where_it_is_at_hand(monkeypatch):
 
 
 def test_an_unknown_word_names_the_weights_that_are_missing(tmp_path, monkeypatch):
-    from edit3r_select.select import select_masks
+    from edit3r_select.by_segmenter import select_masks
 
     from edit3r.contract.interfaces import Selection
 

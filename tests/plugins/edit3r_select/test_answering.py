@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from edit3r_select.answering import answered, changed_at, standing_out
+from edit3r_select.by_segmenter import select_masks
 from edit3r_select.cues import Asked, Pool
 from edit3r_select.marks import Marks
-from edit3r_select.select import select_masks
 
 from edit3r.contract.interfaces import (
     SUBJECT,

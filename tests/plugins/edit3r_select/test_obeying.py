@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_select.by_segmenter import select_masks
 from edit3r_select.obeying import (
     Point,
     joined_change,
@@ -11,7 +12,6 @@ from edit3r_select.obeying import (
     seen_elsewhere,
 )
 from edit3r_select.photos import Photos
-from edit3r_select.select import select_masks
 
 from edit3r.contract.interfaces import Geometry, MaskLogits, Segmenter, Selection
 from edit3r_testing.scenes import photograph

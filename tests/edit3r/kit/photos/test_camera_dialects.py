@@ -13,7 +13,7 @@ from PIL import Image
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.geometry.rotations import matrices_to_quats
-from edit3r.kit.photos.cameras import read_cameras, read_scene_cameras
+from edit3r.kit.photos.camera_files import read_cameras, read_scene_cameras
 from edit3r.kit.photos.images import load_photos
 from edit3r.kit.photos.posed_folder import read_posed_folder
 

@@ -43,7 +43,7 @@ from edit3r_model.edited_views import (
     find_exposure,
 )
 from edit3r_model.layers import guided_upsample
-from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
+from edit3r_model.matched_unet import STRIDE, averaged, zero_conv
 from edit3r_model.surface import discs
 
 KEY_STRIDE = 4

@@ -9,7 +9,7 @@ from PIL import Image
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
-from edit3r.kit.photos.cameras import (
+from edit3r.kit.photos.camera_files import (
     PosedCamera,
     posed_cameras,
     read_cameras,

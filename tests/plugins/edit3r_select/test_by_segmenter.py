@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_select.answering import Answered
-from edit3r_select.select import select_masks
+from edit3r_select.by_segmenter import select_masks
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
