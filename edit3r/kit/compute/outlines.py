@@ -57,10 +57,10 @@ def distance_to(
 
 
 def box_around(mask: Bool[np.ndarray, "height width"]) -> Box:
-    """The box around a mask that is not empty."""
+    """The box around a mask, of one pixel at least."""
     height, width = mask.shape
     x, y, across, down = cv2.boundingRect(mask.astype(np.uint8))
-    return x / width, y / height, across / width, down / height
+    return x / width, y / height, max(across, 1) / width, max(down, 1) / height
 
 
 def window_around(

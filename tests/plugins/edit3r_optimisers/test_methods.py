@@ -72,7 +72,7 @@ def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
     inverted = edit3r.Views(1 - posed.images, posed.intrinsics)
     fast = {"steps": 12, "edit_steps": 36, "colour_rate": 0.15}
     if method == "instruct-nerf2nerf":
-        fast |= {"every": 2, "least_strength": 0.9}
+        fast |= {"edit_every": 2, "least_strength": 0.9}
     result = build(method, **fast).edit_and_reconstruct(inverted, posed, ASK)
     seen = rasterizer.render(result.gaussians, result.cameras).images
     to_edits, to_photos = (
@@ -85,8 +85,8 @@ def test_the_scene_takes_the_edited_colours(method, build, posed, rasterizer):
     "name, settings, calls",
     [
         ("refit", {}, 0),
-        ("instruct-nerf2nerf", {"every": 2, "edit_steps": 7}, 4),
-        ("instruct-nerf2nerf", {"every": 7, "edit_steps": 7}, 1),
+        ("instruct-nerf2nerf", {"edit_every": 2, "edit_steps": 7}, 4),
+        ("instruct-nerf2nerf", {"edit_every": 7, "edit_steps": 7}, 1),
         ("gaussctrl", {}, 1),
         ("editsplat", {}, 3),
     ],
