@@ -35,6 +35,7 @@ from edit3r_model.disagreement import (
 )
 from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, FusedEdit
 from edit3r_model.edited_views import (
+    CHANGE,
     EditedViews,
     Exposure,
     Images,
@@ -303,7 +304,7 @@ def fuse_colours(
     least = made.amin((3, 4), keepdim=True).clamp(max=0)
     most = made.amax((3, 4), keepdim=True).clamp(min=0)
     change = change_of(choices.maps, views.source).clamp(least, most)
-    carried = (views.source + change).clamp(0, 1)
+    carried = _no_stronger(change, views)
     _, warped = views.reference
     shown = warp(made, views.matches.coordinates).abs().amax(2)
     presence = (blur_maps(shown, 1.0) / VISIBLE_CHANGE).clamp(max=1)
@@ -318,6 +319,24 @@ def fuse_colours(
     shares = shares[0] * told, shares[1]
     own = views.edited
     return own + shares[0] * (carried - own) + shares[1] * (warped - own)
+
+
+def _no_stronger(change: Images, views: EditedViews) -> Images:
+    """The source's colours after the change, as near to grey as the strongest that the reference's
+    edit made, and no nearer than a change of that size brings them: what it never met (grass, for a
+    pencil drawing) becomes no greener than the drawing.
+    """
+    colours = (views.source + change).clamp(0, 1)
+    made = (views.after - views.before).abs().amax(2, keepdim=True) > CHANGE
+    strongest = (_off_grey(views.after) * made).amax((3, 4), keepdim=True)
+    left = _off_grey(views.source) - change.abs().amax(2, keepdim=True)
+    share = (strongest + left.clamp(min=0)) / _off_grey(colours).clamp(min=1e-6)
+    grey = colours.mean(2, keepdim=True)
+    return torch.where(share < 1, grey + (colours - grey) * share, colours)
+
+
+def _off_grey(colours: Images) -> Float[Tensor, "batch view 1 height width"]:
+    return (colours - colours.mean(2, keepdim=True)).abs().amax(2, keepdim=True)
 
 
 def _at_image_size(decisions: Decisions, images: Images) -> Decisions:

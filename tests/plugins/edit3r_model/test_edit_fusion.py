@@ -114,6 +114,25 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     assert torch.allclose(fused((hole, hole), (green, hole), maps), green, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("change", "off_grey"),
+    [(0.4, 0.02), (0.1, 0.12), (0.0, 0.2)],  # the grass is off grey by .2
+    ids=["wholly", "in part", "not at all"],
+)
+def test_what_the_reference_never_met_gets_no_stronger_colour_than_its_edit_made(
+    change, off_grey
+):
+    """Red bricks became a drawing on paper that is off grey by .02; the map makes grass lighter."""
+    bricks = torch.tensor([0.6, 0.3, 0.3])[:, None, None].expand(3, 4, 4)
+    paper = torch.tensor([0.93, 0.9, 0.9])[:, None, None].expand(3, 4, 4)
+    grass = torch.tensor([0.2, 0.5, 0.2])[:, None, None].expand(3, 4, 4)
+    maps = torch.zeros(1, 2, 12, 4, 4)
+    maps[:, 1, 9:] = change
+    shown = fused((bricks, grass), (paper, grass + 0.4), maps)
+    off = (shown - shown.mean(0)).abs().amax(0)
+    assert torch.allclose(off, torch.full((4, 4), off_grey), atol=1e-5)
+
+
 def test_the_share_of_the_reference_s_colour_goes_to_the_map_where_it_shows_no_edit():
     """The reference is edited on its left alone; all of the choice is its colour, warped."""
     photo = torch.full((3, 4, 24), 0.3)
