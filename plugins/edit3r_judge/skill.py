@@ -35,6 +35,7 @@ from edit3r_judge.signals import SIDE, blurred, homography_grid, lab, small
 # The numbers of this block: chosen by hand before any limit was fitted (docs/notes/verdict.md).
 MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
 FLOOR = 2.0  # that noise and light alone make [CIE Lab]
+TOLD = 2.5  # that one of the two must leave: near the floor even sound depths seem flat
 FEW = 0.02  # share of the picture below which nothing is told
 BEHIND = 0.01  # relative depth from which a solid Gaussian stands behind a faint one
 SHOWN = 0.8  # opacity from which the scene shows a surface
@@ -69,10 +70,12 @@ class Skill:
     @property
     def beside_flat(self) -> float | None:
         """What the run's geometry, or a scene without any, leaves as a share of what one flat
-        picture does; 1: there is no depth.
+        picture does; 1: there is no depth. None where both leave next to nothing.
         """
         left = self.scene if self.geometry is None else self.geometry
-        return None if self.flat is None else max(left, FLOOR) / max(self.flat, FLOOR)
+        if self.flat is None or max(left, self.flat) < TOLD:
+            return None
+        return max(left, FLOOR) / max(self.flat, FLOOR)
 
 
 def skills(scene: SceneToJudge) -> list[Skill]:

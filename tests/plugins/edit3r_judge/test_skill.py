@@ -6,7 +6,7 @@ import pytest
 import torch
 from edit3r_judge import skill
 from edit3r_judge.signals import unlike_between
-from edit3r_judge.skill import FLOOR, _depths_of, skills, unchanged
+from edit3r_judge.skill import FLOOR, Skill, _depths_of, skills, unchanged
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.interfaces.judging import HalfWay
@@ -121,3 +121,18 @@ def test_of_many_photos_evenly_chosen_pairs_are_compared(monkeypatch, count, ask
     skills(replace(judged, half_way=replace(judged.half_way, pairs=pairs)))
     assert len(compared) == 2 * asked
     assert max(map(max, compared)) >= count - count // asked
+
+
+@pytest.mark.parametrize(
+    ("left", "flat", "figure"),
+    [
+        (1.2, 1.5, None),  # a dark picture, or hardly a step aside: both explain it
+        (2.2, 2.4, None),
+        (9.0, 1.5, 4.5),  # wrong depths are told all the same
+        (1.2, 8.0, 0.25),
+    ],
+)
+def test_where_noise_explains_what_either_leaves_nobody_tells_a_flat_picture(
+    left, flat, figure
+):
+    assert Skill(0, left, left, flat).beside_flat == figure
