@@ -24,7 +24,7 @@ from edit3r.contract.types import Cameras
 from edit3r.kit.compute.colour import linear_to_srgb, rgb_to_lab, srgb_to_linear
 from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
-from edit3r.kit.geometry.maps import dilate, size_of
+from edit3r.kit.geometry.maps import dilate, resize, size_of
 from edit3r.kit.geometry.warping import SAME_SURFACE, shared_surface, warp
 
 # The numbers of this block: docs/notes/verdict.md.
@@ -382,10 +382,15 @@ def unlike_either(
     if between.photos is not None:  # a brighter one would look like another thing
         in_one_light = lab(between.photos.images[0], side)
         photos = {view: in_one_light[view] for view in photos}
-    pictures = lab(between.rendered.images[0], side)
-    for place, (pair, shown) in enumerate(zip(between.pairs, pictures)):
-        if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
+    drawn = zip(between.pairs, between.rendered.images[0].cpu())
+    for place, (pair, shown) in enumerate(drawn):
+        if not {*pair} <= {*photos}:
             continue
+        # Made smaller twice it may be off by a row.
+        size = size_of(photos[pair[0]])
+        if min(size) < FEW:
+            continue
+        (shown,) = rgb_to_lab(resize(shown[None], size).clamp(0, 1))
         thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
         for view in pair:
             start = None

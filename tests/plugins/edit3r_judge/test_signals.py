@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 from edit3r_judge.critic import LimitsCritic
-from edit3r_judge.signals import SIGNALS, faults_of, fitted_limits, measured
+from edit3r_judge.signals import (
+    SIGNALS,
+    faults_of,
+    fitted_limits,
+    measured,
+    unlike_either,
+)
 
 from edit3r.contract.instructions import Change, Colour, Instruction, Target
 from edit3r.contract.interfaces import EditToJudge, HalfWay
@@ -262,6 +268,18 @@ def test_half_way_is_compared_in_the_light_that_the_scene_has(good):
         for one in (in_its_light, as_taken)
     )
     assert told < 0.05 < 0.3 < untold
+
+
+def test_half_way_is_compared_at_the_size_of_the_photos():
+    """384 x 203 pixels: as critics are given them 256 x 135; half of each is 192 x 102 and 101."""
+    photos = {view: torch.rand(3, 102, 192) for view in (0, 1)}
+    masks = {view: torch.ones(102, 192) > 0 for view in (0, 1)}
+    shown = Rendering(torch.rand(1, 1, 3, 135, 256), torch.ones(1, 1, 1, 135, 256))
+    eye = Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (135, 256))
+    ((pair, _),) = unlike_either(
+        HalfWay(shown, eye, ((0, 1),)), photos, masks, 12, 1, side=192
+    )
+    assert pair == (0, 1)
 
 
 FAULTS = {
