@@ -40,6 +40,7 @@ FEW = 0.02  # share of the picture below which nothing is told
 BEHIND = 0.01  # relative depth from which a solid Gaussian stands behind a faint one
 SHOWN = 0.8  # opacity from which the scene shows a surface
 KEPT = 0.02  # difference of colours [sRGB] from which an edit changed a pixel
+LEFT = 0.2  # share of the photos that an edit left alone, from which the rest is not looked at
 OWN = 0.2  # share of a photo that its own Gaussians show, below which all are asked
 MOST_PAIRS = 8  # of photos that are compared
 MATCHES = 30  # below which photos do not tell who is wrong
@@ -149,7 +150,7 @@ class _Photos:
                 where &= _within(places)
         matches, unchanged = self._matches(view, other), self.same[view]
         kept = where & unchanged
-        if float(kept.float().mean()) > 0.5 * float(where.float().mean()):
+        if float(kept.float().mean()) > LEFT * float(where.float().mean()):
             where = kept  # what an edit took away or added is at no depth of the photos
             # whether the photos show one plane is asked of what is compared
             matches = _where(unchanged, matches)

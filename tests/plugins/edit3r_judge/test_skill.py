@@ -82,6 +82,24 @@ def test_what_no_photo_shows_half_way_is_asked_of_the_places_that_are_named():
     assert kept[0, :, :128].float().mean() < 0.1
 
 
+def test_what_stands_in_place_of_a_large_removed_thing_is_no_depth_of_the_photos():
+    """Seven tenths of the photos are removed, and what replaces them lies three times as far."""
+    plain = scene()
+    column = torch.arange(SIZE[1]).expand(SIZE)
+    gone = column < 0.7 * SIZE[1]
+    images = torch.where(gone, 0.0, plain.photos.images)
+    pixel = gone.flatten().repeat(2)
+    means = torch.where(
+        pixel[:, None], 3 * plain.gaussians.means, plain.gaussians.means
+    )
+    made = replace(
+        plain,
+        edited=replace(plain.edited, images=images),
+        gaussians=replace(plain.gaussians, means=means),
+    )
+    assert all(one.beside_geometry < 1.1 for one in skills(made))
+
+
 def test_where_an_edit_leaves_a_wall_alone_to_compare_no_depth_is_missed():
     """What stands before the wall is painted: one flat picture explains all the rest."""
     plain, balls = scene(), photograph(2, SIZE).objects.amax(0)[:, :, None]
