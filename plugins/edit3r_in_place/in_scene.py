@@ -16,6 +16,7 @@ from torch import Tensor
 import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
+    Candidate,
     Geometry,
     Rasterizer,
     Segmenter,
@@ -85,15 +86,21 @@ class InSceneSelector(Selector, StartsFromScene):
         part = None if geometry is None else _of_views(geometry, looked_at)
         asked = _renumbered(plain, {view: new for new, view in enumerate(looked_at)})
         found = self.usual.select(views.select(looked_at), asked, part)
-        smaller = _part_of_scene(found, selection, self.scene.alphas[0, looked_at])
-        if smaller > 1:
+        alphas = self.scene.alphas[0, looked_at]
+        taken = _part_of_scene(found, selection, alphas)
+        if taken > 1:
             say(
                 "selection.part",
                 f"the {selection.words} is taken for a part of the scene; "
                 "'paint everything' is said of all of it",
             )
-            asked = replace(asked, candidate=smaller)
-            found = self.usual.select(views.select(looked_at), asked, part)
+        elif not selection.says_where:
+            found = replace(found, candidates=_on_scene(found, alphas))
+            taken = found.candidates[0].number if found.candidates else 1
+        if taken > 1 and selection.candidate == 1:
+            asked = replace(asked, candidate=taken)
+            again = self.usual.select(views.select(looked_at), asked, part)
+            found = replace(again, candidates=found.candidates)
         masks = dict(zip(looked_at, found.masks[:, 0]))
         rasterizer = edit3r.default_registry().build_choice(
             "rasterizer", self.settings.rasterizer
@@ -256,6 +263,20 @@ def _part_of_scene(
         < WHOLE * float(alphas[one.view].sum())
     ]
     return min(smaller, default=1)
+
+
+def _on_scene(
+    found: Selected, alphas: Float[Tensor, "view height width"]
+) -> tuple[Candidate, ...]:
+    """The candidates that lie on the scene: what stands out most on a picture of it may be the
+    background.
+    """
+    solid = (alphas >= SOLID).float()
+    return tuple(
+        one
+        for one in found.candidates
+        if float((one.mask * solid[one.view]).sum()) > 0.5 * float(one.mask.sum())
+    )
 
 
 def _spread(count: int, wanted: int) -> list[int]:

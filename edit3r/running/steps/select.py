@@ -53,7 +53,7 @@ def select(inputs: Inputs, located: Located, components: Components) -> Selected
 @torch.no_grad()
 def require_known_words(inputs: Inputs, components: Components) -> None:
     """Raise QuestionError for words that nothing here knows, from the first photo alone: before
-    geometry is read, which takes most of the time that a question would.
+    geometry is read, which takes most of the time that a question would. A given scene has it.
     """
     marked = inputs.marked is not None or inputs.masks is not None
     named = any(
@@ -62,7 +62,8 @@ def require_known_words(inputs: Inputs, components: Components) -> None:
         for one in task.instructions
         for target in (one.target, *one.without)
     )
-    if marked or not named or inputs.photos.count < 2 or _guesses(components):
+    alone = inputs.photos.count < 2 or inputs.scene is not None
+    if marked or not named or alone or _guesses(components):
         return
     first = inputs.select([0])
     with stage("look up words"), collecting(Report()):

@@ -8,7 +8,7 @@ import torch
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.errors import InputError, QuestionError, SettingsError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Views
 from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
@@ -222,3 +222,13 @@ def test_the_edited_scene_is_drawn_over_the_grey_that_its_pictures_have():
     assert empty.any()
     drawn = result.rendered.images.movedim(2, 0)[:, empty]
     assert torch.equal(drawn, torch.full_like(drawn, BACKGROUND))
+
+
+def test_words_are_looked_for_on_the_pictures_of_a_given_scene():
+    """Of photos a word that nothing knows is asked about on the first one, before geometry is
+    read; a given scene has it, and its selector answers for all pictures at once.
+    """
+    with pytest.raises(QuestionError, match="which is the zyzzyva"):
+        edit3r.run(scan(), "paint the zyzzyva blue", **QUICK)
+    result = edit3r.run(scan(), "paint the zyzzyva blue", guess=True, **QUICK)
+    assert result.selection_verdict.confidence < 0.5

@@ -180,6 +180,31 @@ def test_of_several_parts_of_the_scene_a_name_takes_the_likeliest(scene):
     assert _part_of_scene(found, asked, scene.alphas[0, :1]) == 2
 
 
+def test_where_the_background_stands_out_most_the_next_candidate_is_taken(selector):
+    """Words that nothing knows mean what stands out: never the nothing about a scene."""
+
+    class StandsOut(Asked):
+        def select(self, views, selection, geometry=None):
+            self.pictures.append(selection.candidate)
+            red = red_on(views.images[0])
+            empty = (selector.scene.alphas[0, : views.count] < 0.2).float()
+            options = [Candidate(0, empty[0], 0.5, 1), Candidate(0, red[0], 0.4, 2)]
+            masks = (empty, red)[selection.candidate - 1]
+            how = ("guess",) * views.count
+            return Selected(masks[:, None], how, candidates=tuple(options))
+
+    selector.usual = StandsOut()
+    views = Views(selector.scene.images, selector.scene.cameras.intrinsics)
+    found = selector.select(views, Selection(words="thing"))
+    assert selector.usual.pictures[:2] == [1, 2]
+    assert [one.number for one in found.candidates] == [2]
+    overlap = found.masks[0, 0] * red_on(selector.scene.images[0])[0]
+    assert overlap.sum() > 0.9 * red_on(selector.scene.images[0])[0].sum()
+    selector.usual.pictures.clear()
+    selector.select(views, Selection(words="thing", candidate=2))
+    assert selector.usual.pictures == [2]
+
+
 @pytest.mark.parametrize(("around", "taken"), [(6, True), (5, False)])
 def test_a_speck_is_what_most_of_its_neighbours_do_not_count_itself(around, taken):
     """Of eight neighbours six belong to the thing (0.75 > 0.7), or five."""

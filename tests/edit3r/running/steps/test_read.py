@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.coverage import USUAL_FRAMES
 from edit3r.kit.photos.images import find_photos
@@ -81,3 +82,15 @@ def test_a_video_gives_as_many_frames_as_views_are_asked_for(
     )
     scene(0.5, settings={"views": views})
     assert asked == [most]
+
+
+def test_the_folder_of_a_run_is_no_photo_and_both_ways_on_are_named(tmp_path):
+    (tmp_path / "run.json").write_text("{}")
+    Image.new("RGB", (40, 30)).save(tmp_path / "before_after.png")
+    job = job_from(JobInputs(photos=(str(tmp_path),)), {"prompt": "paint it red"})
+    with pytest.raises(InputError, match=r"--from .*, or edit its scene: .*scene.ply"):
+        read(replace(job, components={"reader": None}), None, None)
+    Image.new("RGB", (40, 30)).save(
+        tmp_path / "photo.png"
+    )  # photos beside a run are read
+    assert read(replace(job, components={"reader": None}), None, None).photos.count == 2
