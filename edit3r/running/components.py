@@ -40,8 +40,9 @@ from edit3r.running.job import RunJob
 class Components:
     """What the steps of a run work with: settings, and the components that they name.
 
-    Components that the job brings along are used as they are. Two steps replace some before they
-    are used: `start_from` where a scene is given, `settle_matcher` where poses are.
+    Components that the job brings along are used as they are; refiners and writers are always
+    built. Once the photos are read, `start_from` (a given scene) and `settle_matcher` (given poses)
+    replace some.
     """
 
     def __init__(self, config: RunConfig, registry: Registry, job: RunJob) -> None:
@@ -50,6 +51,7 @@ class Components:
         self._registry = registry
         self._given = job.components
         self._scene: GivenScene | None = None
+        self._geometry_source: Source | None = None
 
     @property
     def edits_again(self) -> bool:
@@ -134,6 +136,7 @@ class Components:
 
         Raises SettingsError for a reconstructor that cannot.
         """
+        assert "selector" not in self.__dict__, "it would not know the scene"
         recon = self.reconstructor
         if not isinstance(recon, StartsFromScene):
             raise SettingsError(
@@ -142,7 +145,7 @@ class Components:
             )
         self.reconstructor = recon.starting_from(scene)
         self.rasterizer = OverBackground(self.rasterizer, scene.background)
-        self.geometry_source = SceneGeometry(scene)
+        self._geometry_source = SceneGeometry(scene)
         self._scene = scene
 
     @cached_property
@@ -157,9 +160,14 @@ class Components:
             self._registry.build_choice("refiner", choice) for choice in choices
         )
 
-    @cached_property
+    @property
     def geometry_source(self) -> Source:
         """Who reads the photos' geometry: the matcher, or a reconstructor that finds it itself."""
+        if self._geometry_source is None:
+            self._geometry_source = self._find_geometry_source()
+        return self._geometry_source
+
+    def _find_geometry_source(self) -> Source:
         reconstructor = self.reconstructor
         if not isinstance(reconstructor, FindsGeometry):
             return self._build("matcher")
@@ -179,7 +187,7 @@ class Components:
     @property
     def asked_matcher(self) -> Matcher | None:
         """The matcher, where the run asked one."""
-        source = self.__dict__.get("geometry_source")
+        source = self._geometry_source
         return source if isinstance(source, Matcher) else None
 
     @property
@@ -221,7 +229,7 @@ class Components:
             choice = DEFAULTS["known_poses"]
         matcher = PartChoice.model_validate(choice)
         self.config = self.config.model_copy(update={"matcher": matcher})
-        self.__dict__.pop("geometry_source", None)
+        self._geometry_source = None  # one that told the lens was the usual one
 
     @cached_property
     def segmenter(self) -> Segmenter:
@@ -271,33 +279,3 @@ def _places_itself(reconstructor: Reconstructor) -> bool:
     """Whether a setting of its own, `device`, says where its network computes."""
     settings = getattr(reconstructor, "settings", None)
     return reconstructor.fuses_by_itself and hasattr(settings, "device")
-
-
-def with_reader(job: RunJob, registry: Registry) -> RunJob:
-    """The job with its reader built, the one of all its words."""
-    if "reader" in job.components:
-        return job
-    reader = registry.build_choice("reader", job.config.reader)
-    return replace(job, components={**job.components, "reader": reader})
-
-
-def undone(job: RunJob) -> RunJob:
-    """The job without the earlier run's edit, where its sentence begins with "undo".
-
-    Raises PromptError where no earlier run is given.
-    """
-    rest = asking.after_undo(job.components["reader"], job.config.prompt)
-    if rest is None:
-        return job
-    if job.earlier is None:
-        raise PromptError(
-            "'undo' takes back an edit of an earlier run, and none is given: add --from its "
-            "folder, without photos."
-        )
-    say("edit.undone", f"taken back: {job.earlier.inputs.prompts[-1]}")
-    changed: dict[str, Any] = {"prompt": rest}
-    if not rest:
-        changed["editor"] = PartChoice(name="none")
-    return replace(
-        job, config=job.config.model_copy(update=changed), earlier=job.earlier.undone()
-    )

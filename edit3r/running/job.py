@@ -12,12 +12,15 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import Selection
-from edit3r.contract.reporting import note
+from edit3r.contract.reporting import note, say
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Gaussians, Views
+from edit3r.kit import asking
 from edit3r.kit.cache import Cache
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, JobInputs, RunConfig, make_run_config
 from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.scene_input import SceneInput, is_scene
@@ -156,3 +159,33 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
 def with_cameras(views: Views, cameras: Cameras) -> Views:
     """Views whose intrinsics and poses somebody knows."""
     return replace(views, intrinsics=cameras.intrinsics, c2w=cameras.c2w, assumed=())
+
+
+def with_reader(job: RunJob, registry: Registry) -> RunJob:
+    """The job with its reader built, the one of all its words."""
+    if "reader" in job.components:
+        return job
+    reader = registry.build_choice("reader", job.config.reader)
+    return replace(job, components={**job.components, "reader": reader})
+
+
+def undone(job: RunJob) -> RunJob:
+    """The job without the earlier run's edit, where its sentence begins with "undo".
+
+    Raises PromptError where no earlier run is given.
+    """
+    rest = asking.after_undo(job.components["reader"], job.config.prompt)
+    if rest is None:
+        return job
+    if job.earlier is None:
+        raise PromptError(
+            "'undo' takes back an edit of an earlier run, and none is given: add --from its "
+            "folder, without photos."
+        )
+    say("edit.undone", f"taken back: {job.earlier.inputs.prompts[-1]}")
+    changed: dict[str, Any] = {"prompt": rest}
+    if not rest:
+        changed["editor"] = PartChoice(name="none")
+    return replace(
+        job, config=job.config.model_copy(update=changed), earlier=job.earlier.undone()
+    )

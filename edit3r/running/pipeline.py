@@ -11,10 +11,10 @@ from edit3r.contract.torch_state import in_usual_torch, require_device
 from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.loading.registry import Registry, default_registry
-from edit3r.running.components import Components, undone, with_reader
+from edit3r.running.components import Components
 from edit3r.running.config import check_components
 from edit3r.running.hiding import hide, require_hidden_wholly
-from edit3r.running.job import RunJob
+from edit3r.running.job import RunJob, undone, with_reader
 from edit3r.running.measuring import measure
 from edit3r.running.records import (
     Inputs,

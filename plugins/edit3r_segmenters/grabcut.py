@@ -39,13 +39,14 @@ from edit3r_segmenters.stuff import STUFF, stuff
 from edit3r_segmenters.subject import clearness, reader, salience
 from edit3r_segmenters.words import plain
 
-# The numbers of this block: no figures kept.
+# The numbers of this block: no figures kept of each; of the whole file: docs/notes/ledger.md.
 WINDOWS = (
     0.15,
     0.3,
     0.55,
     1.0,
-)  # around clicks, the thing in their half [longer sides]
+)  # about clicks; the thing in their inner half [longer sides]
+SMOOTHING = 0.8  # of the graph segmentation: sigma of its Gaussian [pixels]
 SCALES = (100, 300, 800, 2000)  # of the graph segmentation: larger regions
 LEAST = 60  # pixels of one of its regions
 CORE = 0.4  # share of a box's sides in which an ellipse surely is the thing
@@ -210,7 +211,7 @@ def _regions(picture: np.ndarray, clicks: Sequence[Click], scale: int) -> np.nda
     2004): bool `[h, w]`.
     """
     lab = cv2.cvtColor(to_bytes(picture), cv2.COLOR_RGB2LAB)
-    cut = cv2.ximgproc.segmentation.createGraphSegmentation(0.8, scale, LEAST)
+    cut = cv2.ximgproc.segmentation.createGraphSegmentation(SMOOTHING, scale, LEAST)
     labels = cut.processImage(lab)
     seeds = np.zeros(labels.shape, dtype=bool)
     for place, wanted in clicks:

@@ -76,9 +76,10 @@ class Segmenter(Configured, ABC):
         box: Box | None = None,
         before: Float[Tensor, "h w"] | None = None,
     ) -> MaskLogits:
-        """All masks for clicks and a box, at least one of them.
+        """Every mask that the marks may mean, at least one; `image` is sRGB in [0, 1].
 
-        `before` are the logits of the answer that the last click corrects.
+        Clicks, a box or both are given. `before` are the logits of the answer that the last click
+        corrects: of any size, covering the image, > 0 inside.
         """
 
     def words(

@@ -125,6 +125,11 @@ def _frame_count(video: Path) -> int:
     while count < MAX_FRAMES and capture.grab():
         count += 1
     capture.release()
+    if count == MAX_FRAMES:
+        raise InputError(
+            f"{video}: {MAX_FRAMES:,} frames or more, so it is damaged or too long; cut out the "
+            "part that shows the scene."
+        )
     if count < 2:
         raise InputError(f"{video}: a video of {count} frames; expected two at least.")
     return count

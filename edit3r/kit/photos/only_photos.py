@@ -18,12 +18,15 @@ from edit3r.kit.photos.decode import decode, image_size, read_header
 # The numbers of this block: no figures kept.
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
-_LIKE = 0.95  # correlation of small copies of one photo in two formats
-_COPIED = 0.995  # the same where the names differ: photos side by side are alike too
-_SMALL = (32, 32)  # their size [pixels]
-_BENT = 0.02  # most that width over height of two copies differs [shares]
-_GREY = 6.0  # most that the channels of a grey picture differ, in the mean [levels]
-_LABELS = 64  # most colours of a picture of labels
+_MIN_LIKENESS = 0.95  # correlation of small copies of one photo in two formats
+# the same where the names differ: photos side by side are alike too
+_MIN_LIKENESS_RENAMED = 0.995
+_SMALL = (32, 32)  # size of the copies [pixels]
+_DECODED = 8 * 32  # longer side at which files are decoded for that [pixels]
+_MAX_ASPECT_DIFFERENCE = 0.02  # of width over height of two copies [shares]
+_MIN_SPREAD = 1.0  # standard deviation of a copy that shows anything [levels]
+_MAX_CHROMA = 6.0  # mean difference of the channels of a grey picture [levels]
+_MAX_LABELS = 64  # colours of a picture of labels
 
 
 def only_photos(files: Sequence[Path]) -> list[Path]:
@@ -54,7 +57,7 @@ def _not_its_own(file: Path, other: Path) -> list[Path]:
         return [file]
     if not _show_the_same(file, other):
         return []
-    return [other] if _pixels(file) > _pixels(other) else [file]
+    return [other] if _pixel_count(file) > _pixel_count(other) else [file]
 
 
 def _made_here(file: Path) -> bool:
@@ -71,60 +74,69 @@ def _is_named_after(file: Path, other: Path) -> bool:
     """
     name, stem = (one.stem.casefold() for one in (file, other))
     if name == stem:
-        return file.suffix != other.suffix and _order(file) > _order(other)
-    if name.replace("img_e", "img_") == stem:
+        return file.suffix != other.suffix and _original_first(file) > _original_first(
+            other
+        )
+    if _is_edited_copy(file, other):
         return True
     begins = name.startswith(stem) and not name[len(stem)].isalnum()
     return begins or (name.endswith(stem) and not name[-len(stem) - 1].isalnum())
 
 
-def _order(file: Path) -> tuple[int, str]:
+def _is_edited_copy(file: Path, other: Path) -> bool:
+    """Whether a phone named it so: IMG_E1 beside IMG_1."""
+    name, stem = (one.stem.casefold() for one in (file, other))
+    return name != stem and name.replace("img_e", "img_") == stem
+
+
+def _original_first(file: Path) -> tuple[int, str]:
     """By which the original comes before the other formats of it: the one with most pixels."""
-    return -_pixels(file), file.suffix
+    return -_pixel_count(file), file.suffix
 
 
 def _is_map_of(file: Path, other: Path) -> bool:
     """Whether a picture is see-through, grey or of few colours, beside a photo in colour."""
     try:
-        mask, photo = (decode(one, 8 * _SMALL[0]) for one in (file, other))
+        mask, photo = (decode(one, _DECODED) for one in (file, other))
     except (InputError, MissingDependencyError):
         return False
     if photo.alpha is not None or _is_grey(photo.pixels):
         return False
-    few = mask.pixels.getcolors(_LABELS) is not None
+    few = mask.pixels.getcolors(_MAX_LABELS) is not None
     return mask.alpha is not None or few or _is_grey(mask.pixels)
 
 
 def _is_grey(pixels: Image) -> bool:
     values = np.asarray(pixels, np.int16)
-    return float(np.ptp(values, axis=2).mean()) < _GREY
+    return float(np.ptp(values, axis=2).mean()) < _MAX_CHROMA
 
 
 def _show_the_same(file: Path, other: Path) -> bool:
-    """Whether small copies of two files are alike; of two formats one may need a package that is
-    missing, and then the other is enough.
+    """Whether small copies of two files are alike; of two formats of one name one may need a
+    package that is missing, and then the other is enough.
     """
     renamed = file.stem.casefold() != other.stem.casefold()
     try:
         shapes = [width / height for height, width in map(image_size, (file, other))]
-        if abs(shapes[0] / shapes[1] - 1) > _BENT:
+        if abs(shapes[0] / shapes[1] - 1) > _MAX_ASPECT_DIFFERENCE:
             return False
         one, two = (_small_copy(path) for path in (file, other))
     except MissingDependencyError:
-        return True
+        return not renamed or _is_edited_copy(file, other)
     except InputError:
         return False
-    if min(one.std(), two.std()) < 1:
+    if min(one.std(), two.std()) < _MIN_SPREAD:
         return False
-    return float(np.corrcoef(one, two)[0, 1]) > (_COPIED if renamed else _LIKE)
+    likeness = float(np.corrcoef(one, two)[0, 1])
+    return likeness > (_MIN_LIKENESS_RENAMED if renamed else _MIN_LIKENESS)
 
 
 def _small_copy(file: Path) -> np.ndarray:
-    small = decode(file, 8 * _SMALL[0]).pixels.convert("L").resize(_SMALL)
+    small = decode(file, _DECODED).pixels.convert("L").resize(_SMALL)
     return np.asarray(small, np.float64).ravel()
 
 
-def _pixels(file: Path) -> int:
+def _pixel_count(file: Path) -> int:
     """Of a file that can be read here, else 0."""
     try:
         height, width = image_size(file)

@@ -75,7 +75,9 @@ def test_shares_of_gpus_bound_the_workers_and_a_dead_node_loses_no_row(
     assert {row["gpus"] for row in rows.values()} == {"0"}
     assert 2 <= most_at_once(log) <= 4
     done = Counter(file.name.partition("-")[0] for file in log.iterdir())
-    assert set(done.values()) == {1}  # a killed job had written nothing
+    assert len(done) == len(jobs)
+    # only what the dead node's two workers had finished, and not told, is done again
+    assert sum(done.values()) <= len(jobs) + 2
 
 
 def fails(job):

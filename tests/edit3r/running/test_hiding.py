@@ -29,10 +29,10 @@ from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.loading.registry import default_registry
-from edit3r.running.components import Components, with_reader
+from edit3r.running.components import Components
 from edit3r.running.config import make_run_config
 from edit3r.running.hiding import covering, without_candidates
-from edit3r.running.job import RunJob
+from edit3r.running.job import RunJob, with_reader
 from edit3r.running.records import Inputs, SelectedRegions
 from tests.plugins.scan import scan
 

@@ -166,7 +166,7 @@ TINY = {"steps": 3, "edit_steps": 4, "points": 60}
 @pytest.mark.parametrize("method", ["instruct-nerf2nerf", "editsplat"])
 def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
     report = Report()
-    settings = TINY | ({"every": 2} if method == "instruct-nerf2nerf" else {})
+    settings = TINY | ({"edit_every": 2} if method == "instruct-nerf2nerf" else {})
     with collecting(report):
         recon = edit3r.build("reconstructor", method, {"editor": editor}, **settings)
         geometry = edit3r.build("matcher", "posed").match(posed)

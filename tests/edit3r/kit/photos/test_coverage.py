@@ -8,6 +8,7 @@ import pytest
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.photos import coverage
 from edit3r.kit.photos.coverage import (
     MIN_SHARED,
     choose_photos,
@@ -135,6 +136,13 @@ def test_a_video_is_loaded_as_its_frames_and_the_record_says_which(tmp_path):
             photo.file
             == f"{tmp_path / 'clip.mp4'}, frame {int(photo.name.removeprefix('clip_'))}"
         )
+
+
+def test_a_video_without_end_is_told_before_any_frame_is_kept(tmp_path, monkeypatch):
+    clip = video(tmp_path / "clip.mp4", range(0, 480, 40))
+    monkeypatch.setattr(coverage, "MAX_FRAMES", 6)
+    with pytest.raises(InputError, match="6 frames or more, so it is damaged or too"):
+        take_frames(clip)
 
 
 def test_photos_are_chosen_that_cover_what_all_show():

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from edit3r.contract.errors import MissingDependencyError
+from edit3r.kit.photos import only_photos
 from edit3r.kit.photos.images import find_photos, save_pixels
 
 
@@ -129,3 +131,26 @@ def test_of_a_copy_with_as_many_pixels_the_photo_it_is_named_after_is_taken(
 ):
     (folder / name).write_bytes((folder / "left.jpg").read_bytes())
     assert names(folder) == ["left.jpg", "right.jpg"]
+
+
+@pytest.mark.parametrize(
+    ("heic", "kept"),
+    [
+        ("left.heic", {"left.jpg", "right.jpg"}),  # one photo in two formats
+        ("lef.heic", {"lef.heic", "left.jpg", "right.jpg"}),
+        ("left_2.heic", {"left_2.heic", "left.jpg", "right.jpg"}),  # perhaps another
+    ],
+)
+def test_what_cannot_be_read_here_is_left_out_only_beside_its_own_name(
+    folder, monkeypatch, heic, kept
+):
+    (folder / heic).write_bytes(b"")
+
+    def image_size(file):
+        if file.suffix == ".heic":
+            raise MissingDependencyError("needs pi_heif")
+        return (48, 48)
+
+    monkeypatch.setattr(only_photos, "image_size", image_size)
+    monkeypatch.setattr(only_photos, "_is_map_of", lambda file, other: False)
+    assert set(names(folder)) == kept
