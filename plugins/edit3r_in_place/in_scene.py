@@ -86,21 +86,28 @@ class InSceneSelector(Selector, StartsFromScene):
         part = None if geometry is None else _of_views(geometry, looked_at)
         asked = _renumbered(plain, {view: new for new, view in enumerate(looked_at)})
         found = self.usual.select(views.select(looked_at), asked, part)
-        alphas = self.scene.alphas[0, looked_at]
-        taken = _part_of_scene(found, selection, alphas)
-        if taken > 1:
+        alphas, number = self.scene.alphas[0, looked_at], selection.candidate
+        smaller = _part_of_scene(found, selection, alphas)
+        on_scene = () if selection.says_where else _on_scene(found, alphas)
+        if smaller > 1:
             say(
                 "selection.part",
                 f"the {selection.words} is taken for a part of the scene; "
                 "'paint everything' is said of all of it",
             )
-        elif not selection.says_where:
-            found = replace(found, candidates=_on_scene(found, alphas))
-            taken = found.candidates[0].number if found.candidates else 1
-        if taken > 1 and selection.candidate == 1:
-            asked = replace(asked, candidate=taken)
-            again = self.usual.select(views.select(looked_at), asked, part)
-            found = replace(again, candidates=found.candidates)
+            number = smaller
+        elif on_scene:
+            number = on_scene[min(number, len(on_scene)) - 1].number
+        if number != selection.candidate:
+            asked = replace(asked, candidate=number)
+            found = self.usual.select(views.select(looked_at), asked, part)
+        if on_scene:  # counted anew
+            own = enumerate(on_scene, start=1)
+            found = replace(
+                found,
+                candidates=tuple(replace(one, number=count) for count, one in own),
+                taken=min(selection.candidate, len(on_scene)),
+            )
         masks = dict(zip(looked_at, found.masks[:, 0]))
         rasterizer = edit3r.default_registry().build_choice(
             "rasterizer", self.settings.rasterizer

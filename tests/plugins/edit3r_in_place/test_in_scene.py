@@ -180,7 +180,7 @@ def test_of_several_parts_of_the_scene_a_name_takes_the_likeliest(scene):
     assert _part_of_scene(found, asked, scene.alphas[0, :1]) == 2
 
 
-def test_where_the_background_stands_out_most_the_next_candidate_is_taken(selector):
+def test_the_background_about_a_scene_is_no_candidate(selector):
     """Words that nothing knows mean what stands out: never the nothing about a scene."""
 
     class StandsOut(Asked):
@@ -188,21 +188,22 @@ def test_where_the_background_stands_out_most_the_next_candidate_is_taken(select
             self.pictures.append(selection.candidate)
             red = red_on(views.images[0])
             empty = (selector.scene.alphas[0, : views.count] < 0.2).float()
-            options = [Candidate(0, empty[0], 0.5, 1), Candidate(0, red[0], 0.4, 2)]
-            masks = (empty, red)[selection.candidate - 1]
+            masks = (empty, red, 0.9 * red)
+            options = (Candidate(0, one[0], 0.2, k + 1) for k, one in enumerate(masks))
+            chosen = masks[selection.candidate - 1][:, None]
             how = ("guess",) * views.count
-            return Selected(masks[:, None], how, candidates=tuple(options))
+            return Selected(chosen, how, confidence=0.2, candidates=tuple(options))
 
     selector.usual = StandsOut()
     views = Views(selector.scene.images, selector.scene.cameras.intrinsics)
     found = selector.select(views, Selection(words="thing"))
-    assert selector.usual.pictures[:2] == [1, 2]
-    assert [one.number for one in found.candidates] == [2]
-    overlap = found.masks[0, 0] * red_on(selector.scene.images[0])[0]
-    assert overlap.sum() > 0.9 * red_on(selector.scene.images[0])[0].sum()
-    selector.usual.pictures.clear()
-    selector.select(views, Selection(words="thing", candidate=2))
-    assert selector.usual.pictures == [2]
+    assert selector.usual.pictures == [1, 2]
+    red = red_on(selector.scene.images[0])[0]
+    assert (found.masks[0, 0] * red).sum() > 0.9 * red.sum()
+    assert [one.number for one in found.candidates] == [1, 2]
+    assert (found.confidence, found.taken) == (0.2, 1)
+    second = selector.select(views, Selection(words="thing", candidate=2))
+    assert selector.usual.pictures[2:] == [2, 3] and second.taken == 2
 
 
 @pytest.mark.parametrize(("around", "taken"), [(6, True), (5, False)])
