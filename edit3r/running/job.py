@@ -172,11 +172,16 @@ def with_reader(job: RunJob, registry: Registry) -> RunJob:
 def undone(job: RunJob) -> RunJob:
     """The job without the earlier run's edit, where its sentence begins with "undo".
 
-    Raises PromptError where no earlier run is given.
+    Raises PromptError where no earlier run of photos is given.
     """
     rest = asking.after_undo(job.components["reader"], job.config.prompt)
     if rest is None:
         return job
+    if job.scene is not None:
+        raise PromptError(
+            "'undo': a given scene keeps no earlier edit; edit the file that it was made from, "
+            "which run.json names among its inputs."
+        )
     if job.earlier is None:
         raise PromptError(
             "'undo' takes back an edit of an earlier run, and none is given: add --from its "

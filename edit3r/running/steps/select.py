@@ -96,8 +96,13 @@ def require_answer(
             if components.hiding:
                 shown = without_candidates(inputs, selection)
             things = tuple(replace(one, taken=0) for one in selection.selected)
+            asks = (
+                f"what is meant by {thing.called!r}"
+                if thing.called
+                else "what is meant"
+            )
             raise QuestionError(
-                f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
+                f"{asks}? The likeliest candidate has a confidence "
                 f"of {confidence:.0%}, so nothing was edited. Take one ({flags}), {ASK}, "
                 "or fetch a detector that knows most words (edit3r weights get words); --guess "
                 f"takes the likeliest.{hints}",

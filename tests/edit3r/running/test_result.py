@@ -424,7 +424,7 @@ class Unknowing(Doubting):
 )
 def test_of_words_that_nothing_knows_is_asked_by_the_first_photo_alone(sentence):
     views, segmenter = photograph(2, (48, 64)).views, Unknowing()
-    with pytest.raises(QuestionError, match="which is the plinth") as question:
+    with pytest.raises(QuestionError, match="what is meant by 'plinth'") as question:
         edit3r.run(views, sentence, segmenter=segmenter, recon=Wall())
     assert segmenter.asked == {float(views.images[0, 0].mean())}
     (plinth,) = question.value.preview.selection.selected

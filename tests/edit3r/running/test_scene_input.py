@@ -8,7 +8,12 @@ import torch
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.errors import InputError, QuestionError, SettingsError
+from edit3r.contract.errors import (
+    InputError,
+    PromptError,
+    QuestionError,
+    SettingsError,
+)
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Views
 from edit3r.kit.photos.camera_files import posed_cameras, write_cameras
@@ -228,7 +233,12 @@ def test_words_are_looked_for_on_the_pictures_of_a_given_scene():
     """Of photos a word that nothing knows is asked about on the first one, before geometry is
     read; a given scene has it, and its selector answers for all pictures at once.
     """
-    with pytest.raises(QuestionError, match="which is the zyzzyva"):
+    with pytest.raises(QuestionError, match="what is meant by 'zyzzyva'"):
         edit3r.run(scan(), "paint the zyzzyva blue", **QUICK)
     result = edit3r.run(scan(), "paint the zyzzyva blue", guess=True, **QUICK)
     assert result.selection_verdict.confidence < 0.5
+
+
+def test_undo_of_a_given_scene_says_where_the_scene_before_is():
+    with pytest.raises(PromptError, match=r"keeps no earlier edit; .* run\.json names"):
+        edit3r.run(scan(), "undo", **QUICK)

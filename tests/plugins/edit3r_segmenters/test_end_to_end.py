@@ -70,4 +70,4 @@ def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
     nothing = "--set segmenter.detector.box_threshold=1.0 --editor mock-diffusion"
     command = ["run", *photos, *CHEAP, *sam2, *nothing.split(), "--out", str(out)]
     assert main([*command, "--prompt", "paint the bike red"]) == 3
-    assert "which is the bike?" in capsys.readouterr().err and not out.exists()
+    assert "what is meant by 'bike'?" in capsys.readouterr().err and not out.exists()
