@@ -9,11 +9,13 @@ from edit3r.contract.errors import PluginError
 from edit3r.contract.interfaces import (
     Editor,
     MaskLogits,
+    Matcher,
     Proposal,
     Segmenter,
     Tracks,
 )
 from edit3r.kit import asking
+from edit3r_testing.scenes import photograph, true_geometry
 
 IMAGES = torch.rand(2, 3, 8, 12)
 MASK = torch.eye(8, 12)
@@ -119,3 +121,26 @@ class Darkens(Editor):
 def test_an_editor_that_changes_the_photos_where_it_is_asked_for_regions_is_named():
     with pytest.raises(PluginError, match="must leave its arguments as they are"):
         asking.widened(Darkens(), torch.ones(1, 1, 2, 8, 12), IMAGES[None].clone())
+
+
+class Found(Matcher):
+    """Answers one thing, whatever it is asked."""
+
+    def __init__(self, geometry):
+        super().__init__(None)
+        self.geometry = geometry
+
+    def match(self, views):
+        return self.geometry
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_matcher_with_a_lens_that_looks_backwards_is_named(axis):
+    photos = photograph(2, (16, 24)).views
+    sound = true_geometry(photos)
+    lenses = photos.intrinsics.clone()
+    sound = replace(sound, intrinsics=lenses)
+    assert asking.find_geometry(Found(sound), photos).intrinsics is not None
+    lenses[0, 1, axis, axis] = -0.8
+    with pytest.raises(PluginError, match=r"focal lengths above 0, got -0\.8"):
+        asking.find_geometry(Found(sound), photos)

@@ -1,5 +1,8 @@
 """Which editor is taken for what a sentence asks."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 
 import edit3r
@@ -9,7 +12,12 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.reporting import Report, collecting
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry, default_registry
-from edit3r.running.editors import tasks_for_editor, tasks_without_editor, usual_reader
+from edit3r.running.editors import (
+    edit_to_judge,
+    tasks_for_editor,
+    tasks_without_editor,
+    usual_reader,
+)
 
 
 def chosen(prompt, registry=None):
@@ -104,3 +112,21 @@ def test_a_strangers_editor_joins_by_its_declared_actions():
     )
     registry = Registry(LoadedPlugins((Offer("editor", component, "polar", "1"),), ()))
     assert chosen("make it a polar bear", registry) == [("polar", 1)]
+
+
+def test_a_critic_is_told_the_selected_instructions_else_those_of_the_tasks():
+    tasks = tasks_without_editor(
+        "paint the door green", usual_reader(), default_registry()
+    )
+    edit = SimpleNamespace(views=None, faults=(), moved=(), verdict=None)
+
+    def told(instructions):
+        chosen = SimpleNamespace(
+            instructions=instructions, selected=(), masks=None, regions=None
+        )
+        asked = edit_to_judge(SimpleNamespace(start=None), chosen, edit, tasks, 2)
+        return asked.instructions
+
+    assert told(()) == tasks[0].instructions
+    narrowed = (replace(tasks[0].instructions[0], action="remove"),)
+    assert told(narrowed) == narrowed

@@ -180,8 +180,14 @@ def test_planes_are_a_pixel_apart(noise):
 
 
 def test_range_holds_the_points_with_room_before_them():
-    least, greatest = inverse_depth_range(np.linspace(2, 4, 200))
+    depths = np.linspace(2, 4, 200)
+    least, greatest = inverse_depth_range(depths)
     assert 0 < least < 1 / 4 and greatest > 1 / 2
+    # a quarter of the span, and .1 and .15 of its ends, without the outer 2 %
+    low, high = np.percentile(1 / depths, [2, 98])
+    room = (high - low) / 4
+    assert least == pytest.approx(0.9 * low - room)
+    assert greatest == pytest.approx(1.15 * high + room)
 
 
 def test_something_near_with_few_features_is_searched_for():

@@ -6,7 +6,14 @@ import pytest
 import torch
 from edit3r_judge import skill
 from edit3r_judge.signals import unlike_between
-from edit3r_judge.skill import FLOOR, Skill, _depths_of, skills, unchanged
+from edit3r_judge.skill import (
+    FLOOR,
+    Skill,
+    _as_places,
+    _depths_of,
+    skills,
+    unchanged,
+)
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.interfaces.judging import HalfWay
@@ -154,3 +161,9 @@ def test_where_noise_explains_what_either_leaves_nobody_tells_a_flat_picture(
     left, flat, figure
 ):
     assert Skill(0, left, left, flat).beside_flat == figure
+
+
+def test_the_middle_of_the_first_pixel_lies_at_a_half():
+    """OpenCV counts pixels from their middles, the project from their corners."""
+    assert _as_places([(0, 0), (3, 1)]).tolist() == [[0.5, 0.5], [3.5, 1.5]]
+    assert _as_places([]).shape == (0, 2)

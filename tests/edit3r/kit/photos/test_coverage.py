@@ -138,6 +138,22 @@ def test_a_video_is_loaded_as_its_frames_and_the_record_says_which(tmp_path):
         )
 
 
+@pytest.mark.parametrize(
+    ("places", "warned"), [([0] * 6 + [60, 120, 180], True), (range(0, 480, 40), False)]
+)
+def test_frames_in_which_nothing_moved_are_said_to_be_left_out(
+    block, tmp_path, places, warned
+):
+    clip = video(tmp_path / "clip.mp4", places)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        take_frames(clip, 8)
+    assert (
+        any("are left out, nothing has moved" in str(one.message) for one in said)
+        == warned
+    )
+
+
 def test_a_video_without_end_is_told_before_any_frame_is_kept(tmp_path, monkeypatch):
     clip = video(tmp_path / "clip.mp4", range(0, 480, 40))
     monkeypatch.setattr(coverage, "MAX_FRAMES", 6)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from edit3r.running.steps.judge import places_asked
+from edit3r.running.steps.judge import _small, places_asked
 
 
 @pytest.mark.parametrize(
@@ -11,3 +11,8 @@ from edit3r.running.steps.judge import places_asked
 def test_of_many_photos_a_reference_is_looked_at_from_fewer_places(photos, places):
     """All of its Gaussians are drawn from each place, one a pixel of each photo."""
     assert places_asked(photos) == places
+
+
+def test_half_way_views_have_256_pixels_on_the_longer_side_at_most():
+    assert _small((1024, 512)) == (256, 128) and _small((100, 50)) == (100, 50)
+    assert _small((2000, 1)) == (256, 1)
