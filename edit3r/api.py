@@ -25,11 +25,11 @@ from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, PART_KEYS, make_run_config
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, scene_among, with_cameras
+from edit3r.running.keywords import Choice, RunKeywords
 from edit3r.running.pipeline import run as run_job
 from edit3r.running.result import RunResult
 from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.settings import Choice, RunSettings
 
 Files = str | Path | Sequence[str | Path]
 
@@ -50,7 +50,7 @@ def run(
     report: Report | None = None,
     cache: Cache | None = None,
     progress: bool = False,
-    **settings: Unpack[RunSettings],
+    **settings: Unpack[RunKeywords],
 ) -> RunResult:
     """Edit photos as `prompt` says and reconstruct them in 3D, or edit a scene that is there.
 

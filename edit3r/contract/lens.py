@@ -1,4 +1,4 @@
-"""A lens that bends straight lines."""
+"""The distortion of a lens (OpenCV's model), and photos without it."""
 
 from dataclasses import dataclass
 
@@ -35,12 +35,12 @@ class Lens:
                 "above 0"
             )
 
-    def straightened(self, image: Image.Image) -> Image.Image:
+    def undistorted(self, image: Image.Image) -> Image.Image:
         """The image (of any size of the photo's shape) as a plain pinhole would have taken it."""
         width, height = image.size
         if max(image.size) > MAX_SIDE:
             raise InputError(
-                f"a photo of {width}x{height} pixels cannot be straightened; make it smaller."
+                f"a photo of {width}x{height} pixels cannot be undistorted; make it smaller."
             )
         stretch = np.array([[width], [height], [1.0]])
         matrix = self._matrix() * stretch
@@ -48,7 +48,7 @@ class Lens:
         pixels = cv2.undistort(np.asarray(image), matrix, self._numbers())
         return Image.fromarray(pixels)
 
-    def straightened_place(self, x: float, y: float) -> tuple[float, float]:
+    def undistorted_place(self, x: float, y: float) -> tuple[float, float]:
         """Where a place on the photo lies on the straightened one; both in shares of the sides."""
         matrix = self._matrix()
         place = cv2.undistortPoints(

@@ -1,4 +1,4 @@
-"""What each step of a run knows when it is done: one frozen record a step.
+"""What each step of a run knows when it is done: one frozen record a step (run.json: `run_json`).
 
     read      locate     select      edit      correct     reconstruct      refine       judge
     Inputs -> Located -> Selected -> Edited -> Exposure -> Reconstructed -> Gaussians -> Judged

@@ -10,7 +10,6 @@ from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import torch
 from PIL import Image
@@ -50,11 +49,8 @@ from edit3r.running.components import Components
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.records import Inputs, Masks, Preview, Records, SelectedRegions
 from edit3r.running.run_folder import (
-    FRAME,
     GIVEN_SCENE,
-    METRIC_FRAME,
     SCALE,
-    TURNED,
     UP,
     UPRIGHT,
     VIEWS,
@@ -62,11 +58,10 @@ from edit3r.running.run_folder import (
     RunFolder,
     what_images_lack,
 )
+from edit3r.running.run_json import run_facts
 from edit3r.running.scene_input import SceneInput
 from edit3r.running.unit import Unit, unit_of_scene
 
-OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
-"""What run.json says of the frame of a given scene and its cameras."""
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it. No figure kept."""
 
@@ -274,7 +269,7 @@ def write_result(root: Path, result: RunResult) -> None:
                 note(SCALE, result.records.inputs.scale)
             if result.records.inputs.up is not None:
                 note(UP, result.records.inputs.up)
-    folder.write_manifest(_facts(result))
+    folder.write_manifest(run_facts(result.records, result.components, result.report))
 
 
 def _shown(result: RunResult, what: str, folder: Path) -> Path:
@@ -455,61 +450,3 @@ def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:
         return line
     asked = selection.verdict is not None and selection.verdict.label == "question"
     return f"{line}; edit: {edit.label}{' if it is the right thing' if asked else ''}"
-
-
-def _facts(result: RunResult) -> dict[str, Any]:
-    """What run.json says, in its order, before what it says of every run."""
-    report, config, records = result.report, result.config, result.records
-    components = {
-        "editor": result.editor,
-        "matcher": result.components.asked_matcher,
-        "reconstructor": result.reconstructor,
-        "rasterizer": result.rasterizer,
-    }
-    built = {kind: one for kind, one in components.items() if one is not None}
-    settings = {kind: getattr(one, "settings", None) for kind, one in built.items()}
-    used = [*(task.editor for task in result.components.tasks), *[*built.values()][1:]]
-    weights = {k: v for k, v in report.notes.items() if k.startswith("weights.")}
-    return {
-        "prompt": config.prompt,
-        "seed": config.seed,
-        "device": config.device,
-        "settings": {"run": config.model_dump(), **settings},
-        "plugins": [record for one in used for record in _plugins(one)],
-        "inputs": records.inputs.files,
-        "masks": records.inputs.mask_files,  # file: sha256
-        "weights": list(weights.values()),
-        "verdict": result.verdict,
-        "edit_verdict": result.edit_verdict,  # null: no edit
-        "selection_verdict": result.selection_verdict,  # null: nothing was looked for
-        "gaussians": result.gaussians.count,
-        "harmonics_degree": result.gaussians.degree,
-        "stages": report.stages,
-        "warnings": report.warnings,
-        **_frame(records.inputs),
-        "notes": {k: v for k, v in report.notes.items() if k not in weights},
-    }
-
-
-def _frame(inputs: Inputs) -> dict[str, str]:
-    """What run.json says of the frame, where it is not the usual one."""
-    if inputs.scene is not None:
-        return {"frame": OWN_FRAME}
-    frame = FRAME if inputs.scale == 1 else METRIC_FRAME
-    return {"frame": frame if inputs.up is None else f"{TURNED}{frame}"}
-
-
-def _plugins(component: Any) -> list[dict[str, Any]]:
-    """Who brought the component and the parts it was built with, as the registry remembers."""
-    offer = getattr(component, "offer", None)
-    if offer is None:  # an object the caller made by hand
-        return []
-    own = {
-        "kind": offer.kind,
-        "name": offer.component.name,
-        "plugin": offer.plugin,
-        "version": offer.version,
-        "licence": offer.component.licence,
-        "needs_network": offer.component.needs_network,
-    }
-    return [own, *(one for part in component.parts.values() for one in _plugins(part))]

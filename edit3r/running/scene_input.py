@@ -19,7 +19,7 @@ from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.photos.camera_files import read_scene_cameras
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import Photo, evenly
-from edit3r.kit.scenes.axes import turned
+from edit3r.kit.scenes.axes import rotated
 from edit3r.kit.scenes.files import LOOSE, is_loose_sog
 from edit3r.kit.scenes.look import camera_file_of
 from edit3r.kit.scenes.reading import form_of, load_scene
@@ -94,7 +94,7 @@ class SceneInput:
     def in_own_frame(self, gaussians: Gaussians) -> Gaussians:
         """Gaussians of the run in the scene's own frame and unit."""
         c2w, unit = self.views.c2w, self.views.unit
-        back = turned(gaussians, c2w[:3, :3])
+        back = rotated(gaussians, c2w[:3, :3])
         means = back.means * unit + c2w[:3, 3].to(back.means)
         return replace(back, means=means, scales=back.scales * unit)
 

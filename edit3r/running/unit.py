@@ -15,7 +15,7 @@ from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.kit.geometry.cameras import relative_to_first, scale_poses, upright
-from edit3r.kit.scenes.axes import turned
+from edit3r.kit.scenes.axes import rotated
 
 Point = tuple[str, float, float]
 """Name of a view, x and y [shares of the view]."""
@@ -86,7 +86,7 @@ class Unit:
     def gaussians(self, gaussians: Gaussians) -> Gaussians:
         means, scales = self._times(gaussians.means), self._times(gaussians.scales)
         scaled = replace(gaussians, means=means, scales=scales)
-        return scaled if self.turn is None else turned(scaled, self.turn)
+        return scaled if self.turn is None else rotated(scaled, self.turn)
 
     def rendering(self, rendering: Rendering) -> Rendering:
         depths = rendering.depths

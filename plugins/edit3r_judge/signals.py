@@ -1,7 +1,7 @@
-"""What tells how an edit was carried out on what was selected: eight signals, each a figure with a
+"""What tells how an edit was carried out on what was selected: nine signals, each a figure with a
 meaning, none of which knows what a person meant.
 
-A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, beyond which the edit
+A signal is None where it cannot be told. Its limit stands in `limits.yaml`, beyond which the edit
 is doubtful; `benchmarks/fit_verdict.py` chooses it by edits made well and badly on purpose.
 """
 
@@ -28,7 +28,7 @@ from edit3r.kit.geometry.maps import dilate, resize, size_of
 from edit3r.kit.geometry.warping import SAME_SURFACE, shared_surface, warp
 
 # The numbers of this block: docs/notes/verdict.md.
-FITTED = Path(__file__).with_name("fitted.yaml")
+FITTED = Path(__file__).with_name("limits.yaml")
 SIDE = 256  # longer side at which pictures are looked at [pixels]
 SEEN = 6.0  # difference of colours that one sees [CIE Lab]
 CLEAR = 12.0  # difference of colours that nobody overlooks [CIE Lab]

@@ -3,7 +3,7 @@
 Half-way between photos it shows what was guessed, or what looks like no photo, where it does not
 hold: the sum of both shares in the worst view, and how many photos are left out, give the label. A
 part that is broken (`blame.py`) makes it `poor`, and photos that do not look like themselves make
-it `failed`. Limits stand in `fitted.yaml`. See docs/notes/verdict.md.
+it `failed`. Limits stand in `limits.yaml`. See docs/notes/verdict.md.
 """
 
 from collections.abc import Sequence

@@ -12,9 +12,9 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import up_direction, upright
-from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, turn_harmonics
+from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, rotate_harmonics
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
-from edit3r.kit.scenes.axes import turned as rotated
+from edit3r.kit.scenes.axes import rotated
 from edit3r.running import usual_reader
 
 FOOT = 0.98  # quantile of y (down) at which a thing stands; no figure kept
@@ -78,7 +78,7 @@ def turned(gaussians: Gaussians, chosen: Chosen, degrees: float) -> Gaussians:
     changes = {
         "means": pivot + (own.means - pivot) @ rotation.T,
         "quats": matrices_to_quats(rotation @ quats_to_matrices(own.quats)),
-        "harmonics": turn_harmonics(own.harmonics, rotation),
+        "harmonics": rotate_harmonics(own.harmonics, rotation),
     }
     new = {name: getattr(gaussians, name).clone() for name in changes}
     for name, values in changes.items():

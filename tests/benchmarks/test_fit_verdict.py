@@ -96,7 +96,7 @@ def test_scenes_are_told_without_their_place_and_by_all(shown):
 
 
 def test_limits_are_written_beside_those_of_scenes(fit, tmp_path, monkeypatch):
-    own = tmp_path / "fitted.yaml"
+    own = tmp_path / "limits.yaml"
     own.write_text(FITTED.read_text())
     monkeypatch.setattr("edit3r_judge.signals.FITTED", own)
     fit.write_limits({"edit": dict.fromkeys(SIGNALS, 0.123)})

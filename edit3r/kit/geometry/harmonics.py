@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 4 in 3DGS's basis (Condon-Shortley signs)."""
+"""Real spherical harmonics (SH) up to degree 4 in 3DGS's basis (Condon-Shortley signs)."""
 
 from math import pi, sqrt
 
@@ -76,7 +76,7 @@ def dc_to_colour(dc: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     return dc * DC + 0.5
 
 
-def turn_harmonics(
+def rotate_harmonics(
     harmonics: Float[Tensor, "*batch coefficient 3"], rotation: Float[Tensor, "3 3"]
 ) -> Float[Tensor, "*batch coefficient 3"]:
     """Harmonics that show in direction R d what the given ones show in d.

@@ -48,7 +48,7 @@ class Frame:
         very pixels.
         """
         if self.lens is not None:
-            image = self.lens.straightened(image)
+            image = self.lens.undistorted(image)
         height, width = self.source
         scale_x = image.width / width
         scale_y = image.height / height

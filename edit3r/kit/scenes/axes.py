@@ -10,7 +10,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import Gaussians
-from edit3r.kit.geometry.harmonics import basis, turn_harmonics
+from edit3r.kit.geometry.harmonics import basis, rotate_harmonics
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 
 UP_AND_BACK = (1.0, -1.0, -1.0)
@@ -39,14 +39,14 @@ def flipped(gaussians: Gaussians, signs: tuple[float, float, float]) -> Gaussian
     )
 
 
-def turned(gaussians: Gaussians, rotation: Float[Tensor, "3 3"]) -> Gaussians:
+def rotated(gaussians: Gaussians, rotation: Float[Tensor, "3 3"]) -> Gaussians:
     """The scene turned about the origin."""
     rotation = rotation.to(gaussians.means)
     return replace(
         gaussians,
         means=gaussians.means @ rotation.T,
         quats=matrices_to_quats(rotation @ quats_to_matrices(gaussians.quats)),
-        harmonics=turn_harmonics(gaussians.harmonics, rotation),
+        harmonics=rotate_harmonics(gaussians.harmonics, rotation),
     )
 
 

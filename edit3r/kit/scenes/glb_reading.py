@@ -18,7 +18,7 @@ from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.compute.colour import linear_to_srgb
 from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
-from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, turned
+from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, rotated
 
 OWN = "KHR_gaussian_splatting"
 # how the names of extensions that hold an SPZ begin
@@ -147,7 +147,7 @@ def _through(gaussians: Gaussians, place: Float64[np.ndarray, "4 4"]) -> Gaussia
         raise ValueError("a node stretches its Gaussians, which is not read")
     if size < 0:
         gaussians, size = flipped(gaussians, (-1.0, -1.0, -1.0)), -size
-    moved = turned(gaussians, torch.from_numpy(rotation))
+    moved = rotated(gaussians, torch.from_numpy(rotation))
     return replace(
         moved,
         means=moved.means * size + torch.from_numpy(place[:3, 3]).to(moved.means),

@@ -14,7 +14,7 @@ from edit3r.contract.types import Cameras, Gaussians, GivenScene, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, invert_rigid, up_direction
 from edit3r.kit.geometry.rotations import quats_to_matrices
 from edit3r.kit.rendering import render_each
-from edit3r.kit.scenes.axes import LEAST_OPACITY, turned
+from edit3r.kit.scenes.axes import LEAST_OPACITY, rotated
 
 BACKGROUND = 0.5
 """Grey behind a scene in its pictures: black things stand out from it as white ones do."""
@@ -125,7 +125,7 @@ def pictures_of(
     unit = float(torch.exp2(depths[seen].median().log2().round()))
     images = over_background(rendered.images, rendered.alphas)
     to_first = invert_rigid(first[None])[0]
-    moved = turned(gaussians, to_first[:3, :3])
+    moved = rotated(gaussians, to_first[:3, :3])
     moved = replace(
         moved,
         means=(moved.means + to_first[:3, 3].to(moved.means)) / unit,

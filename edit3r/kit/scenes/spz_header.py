@@ -14,7 +14,7 @@ import torch
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import MAX_DEGREE, Gaussians
-from edit3r.kit.scenes.axes import flipped, turned
+from edit3r.kit.scenes.axes import flipped, rotated
 
 GZIP = b"\x1f\x8b"
 _MAGIC = b"NGSP"
@@ -42,7 +42,7 @@ class SpzHeader:
         if self.axes <= 8:  # y up or down, z forward (the last bit) or back
             return flipped(gaussians, (right, -up, last))
         # y back (the last bit) or forward, z up or down
-        return turned(flipped(gaussians, (right, -last, up)), _Y_AND_Z)
+        return rotated(flipped(gaussians, (right, -last, up)), _Y_AND_Z)
 
 
 def read_spz_header(path: Path) -> SpzHeader:

@@ -131,7 +131,7 @@ def _place(
     """A place on the original photo [shares] on what is used of it."""
     (x, y), frame = shares, frames[view]
     if frame.lens is not None:
-        x, y = frame.lens.straightened_place(x, y)
+        x, y = frame.lens.undistorted_place(x, y)
     place = _in_crop(x, y, frame)
     if min(place) < 0 or max(place) > 1:
         raise _outside(flag, text, view, frame)
@@ -216,7 +216,7 @@ def _straightened(
     """The box around the four corners of a box, on the straightened photo."""
     (left, top), (right, bottom) = corners
     places = [
-        lens.straightened_place(x, y) for x in (left, right) for y in (top, bottom)
+        lens.undistorted_place(x, y) for x in (left, right) for y in (top, bottom)
     ]
     columns, rows = zip(*places)
     return (min(columns), min(rows)), (max(columns), max(rows))

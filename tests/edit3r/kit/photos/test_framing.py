@@ -99,7 +99,7 @@ def bent(lens, u, v):
 
 @given(st.floats(0.1, 0.9), st.floats(0.1, 0.9))
 def test_a_place_on_a_bent_photo_is_found_on_the_straight_one(u, v):
-    assert BARREL.straightened_place(*bent(BARREL, u, v)) == pytest.approx(
+    assert BARREL.undistorted_place(*bent(BARREL, u, v)) == pytest.approx(
         (u, v), abs=1e-4
     )
 
@@ -124,7 +124,7 @@ def test_a_straightened_photo_has_no_dark_corners(k1, dark):
         Lens((0.9, 1.2), (0.5, 0.5), (k1, 0, 0, 0, 0)),
         Image.new("RGB", (400, 300), "white"),
     )
-    assert (np.asarray(lens.straightened(white)).min() == 0) == dark
+    assert (np.asarray(lens.undistorted(white)).min() == 0) == dark
     frame = frame_for((300, 400), (150, 200)).through(lens)
     assert np.asarray(frame.cut(white)).min() >= 250
     assert (frame.cropped > 0) == dark and frame.cropped < 0.15

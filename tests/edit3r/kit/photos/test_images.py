@@ -412,7 +412,7 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
         all(one.frame.lens == lens for one in found.photos)
         and found.views.assumed == plain.views.assumed
     )
-    straight = lens.straightened(Image.open(files[1]))
+    straight = lens.undistorted(Image.open(files[1]))
     assert torch.equal(
         found.views.images[0, 1],
         torch.from_numpy(np.array(straight, np.float32) / 255).permute(2, 0, 1),

@@ -10,7 +10,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.harmonics import colour_to_dc
-from edit3r.kit.scenes.axes import turned
+from edit3r.kit.scenes.axes import rotated
 from edit3r.kit.scenes.scene_views import (
     BACKGROUND,
     as_given,
@@ -76,7 +76,7 @@ def test_up_is_away_from_the_floor_whichever_way_the_scene_lies():
     assert up_of(standing) == (0, -1, 0)
     quarter = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     assert torch.allclose(
-        torch.tensor(up_of(turned(standing, quarter))),
+        torch.tensor(up_of(rotated(standing, quarter))),
         quarter @ torch.tensor([0, -1.0, 0]),
     )
 

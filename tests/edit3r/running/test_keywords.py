@@ -6,18 +6,18 @@ import inspect
 import edit3r
 from edit3r.running.config import RunConfig
 from edit3r.running.flags import OUTLINE, SHORT, add_flags, add_mark_flags
-from edit3r.running.settings import RunSettings
+from edit3r.running.keywords import RunKeywords
 
 OF_THE_CALL = {"prompt", "editor", "reconstructor"}
 """Settings that `edit3r.run` has as parameters of its own."""
 
 
 def test_the_keywords_of_the_call_are_the_settings_of_a_run():
-    assert set(RunSettings.__annotations__) == set(RunConfig.model_fields) - OF_THE_CALL
+    assert set(RunKeywords.__annotations__) == set(RunConfig.model_fields) - OF_THE_CALL
     parameters = inspect.signature(edit3r.run).parameters
     own = {SHORT.get(name, name) for name in OF_THE_CALL}
     assert own < set(parameters) and len(parameters) <= 14
-    assert not set(parameters) & set(RunSettings.__annotations__)
+    assert not set(parameters) & set(RunKeywords.__annotations__)
 
 
 def test_every_setting_has_a_flag_but_lists_of_components():

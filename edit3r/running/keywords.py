@@ -20,7 +20,7 @@ Choice = str | Mapping[str, Any] | PartChoice
 """A component by its name, or by its name and settings."""
 
 
-class RunSettings(TypedDict, total=False):
+class RunKeywords(TypedDict, total=False):
     """What `edit3r.run` takes beside its own parameters; see `edit3r run --help`."""
 
     reader: Choice | Reader
