@@ -17,7 +17,7 @@ come.
 # Columns of a splat's record, float32 [16], one cache line. With d = pixel - mean,
 # log2(alpha) = LOG_OPACITY - (INV_STD_X * (d_x - X_PER_Y * d_y))^2 - (INV_STD_Y * d_y)^2.
 RECORD = 16
-_COLUMNS = [np.uint64(column) for column in range(RECORD)]  # as kernels index
+_COLUMNS = list(np.arange(RECORD, dtype=np.uint64))  # as kernels index
 X, X_REST, Y, Y_REST = _COLUMNS[:4]  # mean as a sum of two float32 [pixels]
 X_PER_Y = _COLUMNS[4]  # d_x of the highest alpha on a row, per d_y
 # 1 / standard deviation of x given y, and of y; units as in `projection.UNIT`
