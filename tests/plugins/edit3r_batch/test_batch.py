@@ -187,6 +187,18 @@ def test_a_killed_batch_of_two_workers_leaves_what_a_straight_one_of_one_worker_
     assert not [path for path in (place / "out").iterdir() if "partial" in path.name]
 
 
+@pytest.mark.slow
+def test_what_a_worker_left_that_was_killed_after_its_last_step_is_removed(place):
+    """Its folder was in place already, so nobody does the job again."""
+    file = jobs_file(place, "a")
+    assert batch(file, place / "out") == 0
+    left = place / "out" / ".job-000001.partial-0badcafe"
+    left.mkdir()
+    (left / "edit3r.lock").touch()
+    assert batch(file, place / "out") == 0 and not left.exists()
+    assert len(done_seeds(place)) == 1
+
+
 def test_two_batches_in_one_folder_are_refused(place, capsys):
     from filelock import FileLock
 

@@ -167,7 +167,7 @@ def test_what_cannot_be_carried_out_ends_with_exit_code_2_and_leaves_nothing(
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--editor", "looks", "--prompt", "turn the gnome into gold"], "the gnome?"),
+        (["--editor", "looks", "--prompt", "turn the gnome into gold"], "'gnome'?"),
         (["--prompt", "paint the fxo red"], "Did you mean 'fox'?"),
     ],
 )
