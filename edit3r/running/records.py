@@ -89,7 +89,7 @@ class Inputs:
         """A finished run's, in the unit and frame before a known length and a known up; these are
         kept, for the edit that goes on from it.
         """
-        back, before = GIVEN.times(self.scale).upright(self.up).back, self.before
+        back, before = GIVEN.times(self.scale).upright(self.up).inverse, self.before
         if before is not None:
             before = back.reconstruction(before)
         if before is not None and before.cameras is not None and self.up is not None:

@@ -87,7 +87,7 @@ class RunResult:
     def _of_photos(self) -> Unit:
         """Back into the unit in which the photos' poses were given, or into metres."""
         inputs = self.records.inputs
-        return inputs.unit.back.times(inputs.scale)
+        return inputs.unit.inverse.times(inputs.scale)
 
     @cached_property
     def _of_scene(self) -> Unit:

@@ -53,7 +53,7 @@ class Unit:
     turn: Float[Tensor, "3 3"] | None = None
 
     @property
-    def back(self) -> "Unit":
+    def inverse(self) -> "Unit":
         """The way back."""
         return Unit(1 / self.factor, None if self.turn is None else self.turn.T)
 
@@ -73,28 +73,33 @@ class Unit:
         return replace(self, factor=torch.where(scenes, self.factor, 1.0))
 
     def views(self, views: Views) -> Views:
+        """Photos with their poses scaled, and never turned."""
         if views.c2w is None:
             return views
         return replace(views, c2w=self._poses(views.c2w))
 
     def cameras(self, cameras: Cameras) -> Cameras:
+        """Cameras of the scene: their poses scaled and turned with it."""
         c2w = self._poses(cameras.c2w)
         if self.turn is not None:
             c2w[..., :3, :] = self.turn.to(c2w) @ c2w[..., :3, :]
         return replace(cameras, c2w=c2w)
 
     def gaussians(self, gaussians: Gaussians) -> Gaussians:
-        means, scales = self._times(gaussians.means), self._times(gaussians.scales)
+        """The scene scaled and turned."""
+        means, scales = self._scaled(gaussians.means), self._scaled(gaussians.scales)
         scaled = replace(gaussians, means=means, scales=scales)
         return scaled if self.turn is None else rotated(scaled, self.turn)
 
     def rendering(self, rendering: Rendering) -> Rendering:
+        """Pictures of the scene, their depths scaled."""
         depths = rendering.depths
         return replace(
-            rendering, depths=None if depths is None else self._times(depths)
+            rendering, depths=None if depths is None else self._scaled(depths)
         )
 
     def reconstruction(self, scene: Reconstruction) -> Reconstruction:
+        """The scene and its cameras, scaled and turned together."""
         cameras = None if scene.cameras is None else self.cameras(scene.cameras)
         return replace(
             scene, gaussians=self.gaussians(scene.gaussians), cameras=cameras
@@ -105,7 +110,7 @@ class Unit:
     ) -> Float[Tensor, "batch view 4 4"]:
         return scale_poses(c2w, self.factor.to(c2w)[:, None])
 
-    def _times(self, lengths: Tensor) -> Tensor:
+    def _scaled(self, lengths: Tensor) -> Tensor:
         factor = self.factor.to(lengths)
         return lengths * factor.view(-1, *[1] * (lengths.ndim - 1))
 
@@ -131,7 +136,7 @@ def unit_of_scene(
     """What brings a scene that was made in `unit` back into the unit of the given poses, if it was
     made on those, or from them (`refine_poses`).
     """
-    return unit.back.where(has_given_poses(scene, photos) | refine_poses)
+    return unit.inverse.where(has_given_poses(scene, photos) | refine_poses)
 
 
 def has_given_poses(scene: Reconstruction, views: Views) -> Bool[Tensor, "batch"]:

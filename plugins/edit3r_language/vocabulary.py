@@ -28,7 +28,7 @@ def _lines(name: str) -> list[str]:
 
 @dataclass(frozen=True)
 class WordSets:
-    """Words by what they do in a sentence, as `vocabulary.txt` lists and explains them."""
+    """Words by what they do in a sentence, as `vocabulary.txt` lists them."""
 
     more: frozenset[str]
     less: frozenset[str]
@@ -80,12 +80,16 @@ class WordSets:
 
     @classmethod
     def read(cls) -> "WordSets":
-        """Those of the file, in which a set may take up those before it."""
+        """Those of the file, in which a set may take up those before it. Raises ValueError for a
+        set that stands there twice, TypeError for one of another name.
+        """
         sets: dict[str, frozenset[str]] = {}
         for line in (
             "\n".join(_lines("vocabulary.txt")).replace("\n  ", " ").splitlines()
         ):
             name, _, listed = line.partition(":")
+            if name in sets:
+                raise ValueError(f"vocabulary.txt: the set {name!r} stands there twice")
             words = listed.split()
             others = [sets[word[1:]] for word in words if word.startswith("+")]
             own = frozenset(word for word in words if not word.startswith("+"))
@@ -93,7 +97,7 @@ class WordSets:
         return cls(**sets)
 
 
-def _phrases() -> list[tuple[re.Pattern, str]]:
+def _phrases() -> list[tuple[re.Pattern[str], str]]:
     """Patterns and what is read in their place, in order."""
     parts: dict[str, str] = {}
     found = []
@@ -147,6 +151,7 @@ PROPERTIES: dict[str, ChangeKind] = {
 TINTS = pairs_of(
     "redder=red greener=green bluer=blue yellower=yellow pinker=pink browner=brown"
 )
+"""Comparatives that tint, and the colour that each leans to."""
 
 INSTEAD = {
     "snow": "'make it look like winter' is a look; no snow falls.",

@@ -180,22 +180,24 @@ def own_paint(lab: Pixels, weights: Weights, tolerance: float, flood: bool) -> P
         return all_of_it
     chroma = _chroma(lab)
     coloured = weights * (chroma - NEUTRAL_CHROMA).clamp(min=0)
-    paint = replace(all_of_it, hue=_commonest_hue(lab, coloured, tolerance))
-    near_hue = _near_hue(lab, paint)
+    commonest = replace(all_of_it, hue=_commonest_hue(lab, coloured, tolerance))
+    near_hue = _near_hue(lab, commonest)
     near = weights * near_hue
     saturation = chroma / lab[0].clamp(min=DARK)
-    powers = (near * saturation**3).sum() / (near * saturation**2).sum().clamp(min=1e-9)
-    paint = replace(paint, saturation=float(powers))
-    member = membership(lab, paint)
+    mean_saturation = (near * saturation**3).sum() / (near * saturation**2).sum().clamp(
+        min=1e-9
+    )
+    commonest = replace(commonest, saturation=float(mean_saturation))
+    member = membership(lab, commonest)
     painted = (weights * member).sum()
     share = float(painted / weights.sum())
     between = (weights * 4 * member * (1 - member)).sum() / painted.clamp(min=1e-9)
-    apart = paint.saturation >= VIVID or float(between) <= MAX_BETWEEN
+    apart = commonest.saturation >= VIVID or float(between) <= MAX_BETWEEN
     one_colour = (coloured * near_hue).sum() >= MIN_COLOUR * coloured.sum()
-    clear = share >= MIN_SHARE and paint.saturation >= FAINT
+    clear = share >= MIN_SHARE and commonest.saturation >= FAINT
     if not (clear and apart and one_colour):
         return all_of_it
-    return replace(paint, lightness=_median(lab, weights * member))
+    return replace(commonest, lightness=_median(lab, weights * member))
 
 
 def membership(lab: Pixels, own: Paint) -> Weights:
