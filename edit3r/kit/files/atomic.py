@@ -15,6 +15,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
@@ -162,13 +163,15 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
 
     It may be new, empty, an earlier run, or with `overwrite` an earlier run that was changed.
     """
-    if not out.exists():
+    try:
+        mode = out.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):  # perhaps another run replaces it
         return
-    if not out.is_dir():
+    if not stat.S_ISDIR(mode):
         raise InputError(
             f"{out}: --out must be a folder, but a file of that name exists."
         )
-    if out.is_mount():
+    if os.path.ismount(out):  # Path.is_mount raises where the folder goes meanwhile
         raise InputError(
             f"{out}: a mount point cannot be replaced in one step; give --out a folder inside it."
         )

@@ -1,8 +1,10 @@
 """Writers that are killed at every step of the method, and several at one place."""
 
+import shutil
 import subprocess
 import sys
 from itertools import count
+from pathlib import Path
 
 import pytest
 
@@ -95,6 +97,24 @@ def test_three_processes_at_one_folder(tmp_path):
     assert len({(out / name).read_text() for name in ("a.txt", "c.txt")}) == 1
     left = {name for name in left_in(tmp_path) if "-finished-" not in name}
     assert left == {"out"}
+
+
+@pytest.mark.parametrize("looks", range(1, 7))
+def test_a_folder_that_goes_while_it_is_looked_at_may_be_written(
+    tmp_path, monkeypatch, looks
+):
+    """Another run moves its own into place: for a moment there is none."""
+    out, real, seen = tmp_path / "out", Path.stat, []
+    out.mkdir()
+
+    def stat(path, **options):
+        seen.append(path)
+        if seen.count(out) == looks:
+            shutil.rmtree(out, ignore_errors=True)
+        return real(path, **options)
+
+    monkeypatch.setattr(Path, "stat", stat)
+    atomic.check_replaceable(out)
 
 
 def test_the_folder_of_a_living_run_and_names_of_others_stay(tmp_path):
