@@ -197,9 +197,8 @@ def _run(
         group=lambda job: job.editor,
         on_done=tell,
     )
-    if (
-        rows
-    ):  # what workers left that died, or were killed just after a folder was in place
+    if rows:
+        # What workers left that died, or were killed just after a folder was in place.
         remove_abandoned(*(out / id for id in rows))
     return [
         {"id": id, "verdict": NO_RESULT, "reason": row["failure"]}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.verdicts import Label, Part
 from edit3r_judge.signals import SIDE, fitted_limits, unlike_between
-from edit3r_judge.skill import LEFT, SHOWN, skills, unchanged
+from edit3r_judge.skill import LEFT_ALONE, SHOWN, skills, unchanged
 
 WRONG_DEPTHS = 0.1  # by which a sound rasterizer's depths are never off [share]
 Figures = Sequence[float | None]
@@ -55,7 +55,7 @@ def beside(scene: SceneToJudge) -> Beside:
         # a run's Gaussians are coarser than its pixels: of a small one half the size is looked at
         side = min(SIDE, max(scene.edited.image_size) // 2)
         same = unchanged(scene, side)
-        where = same if float(same.float().mean()) > LEFT else None
+        where = same if float(same.float().mean()) > LEFT_ALONE else None
         own, least = (
             unlike_between(replace(scene, half_way=one), where, side)
             for one in (before, scene.reference.half_way)

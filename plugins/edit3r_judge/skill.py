@@ -35,16 +35,20 @@ from edit3r_judge.signals import SIDE, blurred, homography_grid, lab, small
 # The numbers of this block: chosen by hand before any limit was fitted (docs/notes/verdict.md).
 MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
 FLOOR = 2.0  # that noise and light alone make [CIE Lab]
-TOLD = 2.5  # that one of the two must leave: near the floor even sound depths seem flat
 FEW = 0.02  # share of the picture below which nothing is told
 BEHIND = 0.01  # relative depth from which a solid Gaussian stands behind a faint one
 SHOWN = 0.8  # opacity from which the scene shows a surface
 KEPT = 0.02  # difference of colours [sRGB] from which an edit changed a pixel
-LEFT = 0.2  # share of the photos that an edit left alone, from which the rest is not looked at
 OWN = 0.2  # share of a photo that its own Gaussians show, below which all are asked
 MOST_PAIRS = 8  # of photos that are compared
 MATCHES = 30  # below which photos do not tell who is wrong
 FLAT = 0.9  # share of the matches that one homography explains, where the photos show a plane
+# These two by hand after that (2026-11-30; the same page).
+# difference that one of two ways must leave to tell them apart [CIE Lab]: near the floor sound
+# depths are no better than one flat picture
+DISCERNIBLE = 2.5
+# share of the photos without an edit, from which the rest is not looked at
+LEFT_ALONE = 0.2
 
 Picture = Float[Tensor, "channel height width"]
 Places = Float[Tensor, "height width 2"]
@@ -74,7 +78,7 @@ class Skill:
         picture does; 1: there is no depth. None where both leave next to nothing.
         """
         left = self.scene if self.geometry is None else self.geometry
-        if self.flat is None or max(left, self.flat) < TOLD:
+        if self.flat is None or max(left, self.flat) < DISCERNIBLE:
             return None
         return max(left, FLOOR) / max(self.flat, FLOOR)
 
@@ -150,7 +154,7 @@ class _Photos:
                 where &= _within(places)
         matches, unchanged = self._matches(view, other), self.same[view]
         kept = where & unchanged
-        if float(kept.float().mean()) > LEFT * float(where.float().mean()):
+        if float(kept.float().mean()) > LEFT_ALONE * float(where.float().mean()):
             where = kept  # what an edit took away or added is at no depth of the photos
             # whether the photos show one plane is asked of what is compared
             matches = _where(unchanged, matches)

@@ -184,9 +184,8 @@ def own_paint(lab: Pixels, weights: Weights, tolerance: float, flood: bool) -> P
     near_hue = _near_hue(lab, commonest)
     near = weights * near_hue
     saturation = chroma / lab[0].clamp(min=DARK)
-    mean_saturation = (near * saturation**3).sum() / (near * saturation**2).sum().clamp(
-        min=1e-9
-    )
+    cubes, squares = ((near * saturation**power).sum() for power in (3, 2))
+    mean_saturation = cubes / squares.clamp(min=1e-9)
     commonest = replace(commonest, saturation=float(mean_saturation))
     member = membership(lab, commonest)
     painted = (weights * member).sum()

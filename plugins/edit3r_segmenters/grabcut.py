@@ -40,12 +40,8 @@ from edit3r_segmenters.subject import clearness, reader, salience
 from edit3r_segmenters.words import plain
 
 # The numbers of this block: no figures kept of each; of the whole file: docs/notes/ledger.md.
-WINDOWS = (
-    0.15,
-    0.3,
-    0.55,
-    1.0,
-)  # about clicks; the thing in their inner half [longer sides]
+# About clicks; the thing lies in their inner half [longer sides].
+WINDOWS = (0.15, 0.3, 0.55, 1.0)
 SMOOTHING = 0.8  # of the graph segmentation: sigma of its Gaussian [pixels]
 SCALES = (100, 300, 800, 2000)  # of the graph segmentation: larger regions
 LEAST = 60  # pixels of one of its regions

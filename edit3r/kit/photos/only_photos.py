@@ -74,9 +74,8 @@ def _is_named_after(file: Path, other: Path) -> bool:
     """
     name, stem = (one.stem.casefold() for one in (file, other))
     if name == stem:
-        return file.suffix != other.suffix and _original_first(file) > _original_first(
-            other
-        )
+        original = min(file, other, key=_original_first)
+        return file.suffix != other.suffix and original is other
     if _is_edited_copy(file, other):
         return True
     begins = name.startswith(stem) and not name[len(stem)].isalnum()

@@ -103,12 +103,12 @@ def _read_files(
     """All photos that were found, and the inputs of those that are used."""
     config = job.config
     files = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
-    runs = [one for one in photos if (one / "run.json").is_file()]
-    if runs and len(files) < 2:
-        raise InputError(
-            f"{runs[0]}: the folder of a run, with no photos of its own; go on from it with "
-            f"--from {runs[0]}, or edit its scene: {runs[0] / 'scene.ply'}."
-        )
+    if len(files) < 2:
+        for folder in (one for one in photos if (one / "run.json").is_file()):
+            raise InputError(
+                f"{folder}: the folder of a run, with no photos of its own; go on from it with "
+                f"--from {folder}, or edit its scene: {folder / 'scene.ply'}."
+            )
     loaded = read_photos(
         choose_photos(files, config.views),
         fov=config.fov,

@@ -90,7 +90,6 @@ def test_the_folder_of_a_run_is_no_photo_and_both_ways_on_are_named(tmp_path):
     job = job_from(JobInputs(photos=(str(tmp_path),)), {"prompt": "paint it red"})
     with pytest.raises(InputError, match=r"--from .*, or edit its scene: .*scene.ply"):
         read(replace(job, components={"reader": None}), None, None)
-    Image.new("RGB", (40, 30)).save(
-        tmp_path / "photo.png"
-    )  # photos beside a run are read
+    # photos beside a run are read
+    Image.new("RGB", (40, 30)).save(tmp_path / "photo.png")
     assert read(replace(job, components={"reader": None}), None, None).photos.count == 2
